@@ -1,0 +1,41 @@
+# Everything a person types here explains itself: make help
+.DEFAULT_GOAL := help
+.PHONY: help setup run test check format bench clean
+
+PYTHON ?= python3.11
+BIN := .venv/bin
+STAMP := .venv/.ready
+
+help:  ## show this list
+	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+$(STAMP): pyproject.toml constraints.txt dashboards/package-lock.json
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --constraint constraints.txt pip setuptools
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m dashboards.vendor
+	@touch $(STAMP)
+
+setup: $(STAMP)  ## make .venv with everything pinned (constraints.txt)
+
+run: $(STAMP)  ## the main job: search for different ways to jump over a bar, then show what was found
+	$(BIN)/halma run studies/quickstart.yaml
+
+test: $(STAMP)  ## all tests
+	$(BIN)/pytest
+
+check: $(STAMP)  ## lint, format, types, import contracts
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(STAMP)  ## put the code in the house's format
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: $(STAMP)  ## the quick benchmarks, each figure beside its baseline
+	$(BIN)/python benchmarks/storage.py
+
+clean:  ## forget the environment and caches (never the trial database)
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .import_linter_cache build *.egg-info

@@ -1,0 +1,1 @@
+"""What did we find? Pages over the record of trials."""

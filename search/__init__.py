@@ -1,0 +1,1 @@
+"""What shall we try next? Spaces, surrogates and strategies; nothing of Ray, databases, files or physics."""

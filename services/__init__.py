@@ -1,0 +1,1 @@
+"""Who runs what, and what is remembered? Studies, the trial database, dispatch, the API, the command line."""
