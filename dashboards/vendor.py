@@ -76,7 +76,8 @@ def npm_ci(folder: Path) -> None:
     except subprocess.TimeoutExpired:
         raise VendoringFailed(f"npm was not done after {TIMEOUT:.0f} s; is the package registry reachable?") from None
     if done.returncode != 0:
-        last = "\n".join((done.stderr or done.stdout).strip().splitlines()[-8:])
+        output = str(done.stderr or done.stdout)
+        last = "\n".join(output.strip().splitlines()[-8:])
         raise VendoringFailed(f"npm ci ended with {done.returncode}:\n{last}")
 
 
@@ -91,7 +92,7 @@ def relative_import(source: str) -> str:
     """
     bare = "from 'three';"
     if source.count(bare) != 1:
-        raise VendoringFailed(f"expected OrbitControls.js to say \"{bare}\" once, found {source.count(bare)} times")
+        raise VendoringFailed(f'expected OrbitControls.js to say "{bare}" once, found {source.count(bare)} times')
     return source.replace(bare, "from './three.module.js';")
 
 

@@ -49,17 +49,24 @@ def load_or_create_token(home: Path) -> TokenFile:
         BadInput: the file can't be read or written, others may read it, or what it holds is too short.
     """
     path = home / "token"
+    token = secrets.token_urlsafe(32)
+    fresh = home / f".token-{secrets.token_hex(8)}"
     try:
         home.mkdir(parents=True, exist_ok=True, mode=0o700)
-        # O_EXCL: two services that start together agree on the one that was first.
-        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        if path.exists():
+            return TokenFile(_read_token(path), path, created=False)
+        handle = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        try:
+            with os.fdopen(handle, "w", encoding="ascii") as file:
+                file.write(token + "\n")
+            # A link appears whole or not at all: two services that start together agree on the one that was first.
+            os.link(fresh, path)
+        finally:
+            fresh.unlink()
     except FileExistsError:
         return TokenFile(_read_token(path), path, created=False)
     except OSError as error:
         raise BadInput(f"{path}: expected to keep the access token there, found: {error.strerror or error}") from None
-    token = secrets.token_urlsafe(32)
-    with os.fdopen(handle, "w", encoding="ascii") as file:
-        file.write(token + "\n")
     return TokenFile(token, path, created=True)
 
 
