@@ -33,6 +33,8 @@ LARGEST_SEED = 2**63 - 1
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Whole = Annotated[int, Field(strict=True)]
 Name = Annotated[StrictStr, Field(pattern=NAME_PATTERN, max_length=80)]
+Strings = Annotated[tuple[str, ...], Field(strict=False)]
+Numbers = Annotated[tuple[float, ...], Field(strict=False)]
 
 
 def wrong(field: str, message: str) -> PydanticCustomError:
@@ -201,7 +203,7 @@ class StudySpec(Section):
     priority: Whole = Field(default=0, ge=-1000, le=1000, description="studies of higher priority get slots first")
     retries: Retries = Retries()
     stop_after_failures: Whole = Field(
-        default=5, gt=0, description="stop the study when its first so many trials, or so many in a row, all failed"
+        default=5, gt=0, description="stop the study when so many trials in a row failed"
     )
 
     @field_validator("training")
@@ -216,8 +218,39 @@ class StudySpec(Section):
 
     @classmethod
     def from_json(cls, fields: Mapping[str, Any]) -> StudySpec:
-        """The spec that `to_json` wrote."""
-        return cls.model_validate(dict(fields))
+        """The spec that `to_json` wrote, resolved where that one was."""
+        return (ResolvedSpec if "behaviour" in fields else StudySpec).model_validate(dict(fields))
+
+
+class Behaviour(Section):
+    """What a behaviour is in a study: the task's `FeatureSpec`, as the study was created with it."""
+
+    kind: Literal["euclidean", "circle", "rotation"]
+    names: Strings
+    distinct: float
+    low: Numbers = ()
+    high: Numbers = ()
+    unit: str = ""
+
+
+class ResolvedSpec(StudySpec):
+    """A study that can be run: checked against its task and strategy, and holding what it was told by the task.
+
+    A study keeps these, so that a later version of its task doesn't change it, and so that nobody has to import
+    the task to draw its results.
+
+    Args:
+        space: never None.
+        behaviour: the features, or None where behaviour plays no part.
+        units: of the parameters, by name; for tables and axes.
+        has_difficulty: whether the task has a difficulty.
+        trains: whether trials leave policies.
+    """
+
+    behaviour: Behaviour | None
+    units: dict[str, str]
+    has_difficulty: bool
+    trains: bool
 
 
 def json_schema() -> dict[str, Any]:
