@@ -6,7 +6,6 @@ The models check what can be known without looking at a task or a strategy (`ser
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
@@ -181,9 +180,14 @@ class Retries(Section):
 
 
 def _positive_budget(training: Mapping[str, Any]) -> None:
+    """Whatever the task's budget looks like, a figure in it that is not above zero would train nothing."""
     budget = training.get("budget")
-    if isinstance(budget, int | float) and not isinstance(budget, bool) and not (math.isfinite(budget) and budget > 0):
-        raise wrong("budget", f"expected a number above 0, found {as_written(budget)}")
+    figures = budget if isinstance(budget, Mapping) else {"": budget}
+    for name, figure in figures.items():
+        is_number = isinstance(figure, int | float) and not isinstance(figure, bool)
+        if is_number and not figure > 0:
+            field = f"budget.{name}" if name else "budget"
+            raise wrong(field, f"expected a number above 0, found {as_written(figure)}")
 
 
 class StudySpec(Section):

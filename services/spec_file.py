@@ -281,7 +281,7 @@ def _explained(details: ErrorDetails, data: Mapping[str, Any], source: Source) -
     found = details["input"]
     context: Mapping[str, Any] = details.get("ctx", {})
     if kind == "section":
-        return source.problem((*place, context["field"]), context["message"])
+        return source.problem((*place, *context["field"].split(".")), context["message"])
     if kind == "choices":
         return source.problem(place, details["msg"])
     if kind == "extra_forbidden":
