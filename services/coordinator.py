@@ -11,14 +11,14 @@ import time
 from collections.abc import Callable, Sequence
 
 from services.artifacts import ArtifactStore
-from services.dispatch.port import Began, Beat, Crashed, Dispatcher, Ended, Message, Reported, Stopped, Vanished
+from services.dispatch.port import Beat, Began, Crashed, Dispatcher, Ended, Message, Reported, Stopped, Vanished
 from services.drive import Drive, Leaving, Live
 from services.driver import lives, this_process
-from services.errors import Refused, StoreUnavailable, StudyDriven
+from services.errors import HalmaError, Refused, StoreUnavailable
 from services.proposing import Proposed, Strategist, trial_seed
 from services.spec import StudySpec
 from services.states import OPEN_TRIAL, StudyState, TrialState
-from services.store.port import Change, NewArtifact, NewTrial, Result, Store, TrialRow
+from services.store.port import Change, NewArtifact, NewTrial, Result, Store, StudyRow, TrialRow
 from workers.contracts import Outcome
 
 POLL_SECONDS = 0.25
@@ -78,7 +78,8 @@ class Coordinator:
         self._study_of: dict[int, int] = {}
         self._identity = this_process()
         self._leave: Leaving | None = None
-        self._control_due = self._beat_due = 0.0
+        self._control_due = self._beat_due = self._adopt_due = 0.0
+        self._watched: dict[int, tuple[tuple[int, int], float]] = {}
 
     # -- taking and leaving studies --------------------------------------------------------------------------------
 
@@ -120,19 +121,28 @@ class Coordinator:
 
     def _is_dead(self, name: str) -> bool:
         """Whether a study's driver is gone: seen at once on this host, by its still beat on another."""
-        row = self._store.study(name)
+        while True:
+            row = self._store.study(name)
+            dead = self._looks_dead(row)
+            if dead is not None:
+                return dead
+            self._sleep(0.2)
+
+    def _looks_dead(self, row: StudyRow) -> bool | None:
+        """Whether a study's driver is gone; None while its beat has to be watched for longer."""
         if row.driver is None:
             return False
         alive = lives(row.driver)
         if alive is not None:
             return not alive
-        until = self._clock() + DRIVER_LEASE_SECONDS
-        while self._clock() < until:
-            self._sleep(0.2)
-            now = self._store.study(name)
-            if (now.drive_token, now.drive_beat) != (row.drive_token, row.drive_beat):
-                return False
-        return True
+        now = self._clock()
+        seen = (row.drive_token, row.drive_beat)
+        watched = self._watched.get(row.id)
+        if watched is None or watched[0] != seen:
+            first_look = watched is None or watched[0][0] != row.drive_token
+            self._watched[row.id] = (seen, now)
+            return None if first_look else False
+        return True if now - watched[1] > DRIVER_LEASE_SECONDS else None
 
     def leave(self, state: StudyState, reason: str) -> None:
         """Stop at the next checkpoints and release every study in `state`. May be called from a signal handler."""
@@ -148,6 +158,34 @@ class Coordinator:
         """Drive until every study is released."""
         while self._drives:
             self.step()
+
+    def serve(self) -> None:
+        """Drive every study that wants to run, until asked to leave."""
+        while self._leave is None or self._drives:
+            if self._leave is None:
+                self._adopt()
+            self.step()
+
+    def _adopt(self) -> None:
+        """Take the studies that nobody drives, or whose driver is gone."""
+        now = self._clock()
+        if now < self._adopt_due:
+            return
+        self._adopt_due = now + CONTROL_SECONDS
+        for row in self._store.studies():
+            orphaned = row.state is StudyState.RUNNING and row.id not in self._drives and self._looks_dead(row)
+            if row.wanted == "run" and (row.state is StudyState.QUEUED or orphaned):
+                try:
+                    self.take(row.name)
+                except HalmaError as error:
+                    self._note(row.id, "not_taken", str(error))
+
+    def _note(self, study_id: int, kind: str, reason: str) -> None:
+        def write(change: Change) -> list[Effect]:
+            change.note(kind, study_id=study_id, reason=reason)
+            return []
+
+        self._commit(write)
 
     def step(self, timeout: float = POLL_SECONDS) -> None:
         """One pass: take what arrived, follow what people asked for, start what has room."""
@@ -219,14 +257,12 @@ class Coordinator:
             change.beat(message.attempt, message.token)
             raise Refused(f"attempt {message.attempt} is not driven here")
         drive = self._drives[self._study_of[message.attempt]]
-        trial = drive.open[live.trial]
+        effects: list[Effect] = []
         match message:
             case Began(host=host, pid=pid):
                 change.began(message.attempt, message.token, host=host, pid=pid)
-                return []
             case Beat():
                 change.beat(message.attempt, message.token)
-                return []
             case Reported():
                 change.report(
                     message.attempt,
@@ -236,25 +272,23 @@ class Coordinator:
                     samples=message.samples,
                     seconds=message.seconds,
                 )
-                return []
             case Ended():
                 row = change.finish(message.attempt, message.token, _result(message))
-                return [lambda: self._ended(drive, live, row)]
+                effects = [lambda: self._ended(drive, live, row)]
             case Stopped():
                 row = change.preempt(message.attempt, message.token, self._why_stopping(drive))
-                return [lambda: self._queued_again(drive, live, row, wait=0.0)]
+                effects = [lambda: self._queued_again(drive, live, row, wait=0.0)]
             case Crashed():
-                return self._crashed(change, drive, live, trial, message)
+                effects = self._crashed(change, drive, live, drive.open[live.trial], message)
             case Vanished():
-                return self._vanished(change, drive, live, message.reason)
+                effects = self._vanished(change, drive, live, message.reason)
+        return effects
 
     def _crashed(self, change: Change, drive: Drive, live: Live, trial: TrialRow, message: Crashed) -> list[Effect]:
         if message.retry and trial.retries < drive.spec.retries.limit:
             row = change.fail(live.attempt, live.token, message.message)
             return [lambda: self._queued_again(drive, live, row, wait=_backoff(drive, row))]
-        result = Result(
-            TrialState.FAILED, samples=trial.samples, seconds=trial.seconds, message=message.message
-        )
+        result = Result(TrialState.FAILED, samples=trial.samples, seconds=trial.seconds, message=message.message)
         row = change.finish(live.attempt, live.token, result)
         return [lambda: self._ended(drive, live, row)]
 
@@ -375,7 +409,9 @@ class Coordinator:
         self._dispatcher.kill(live.attempt)
 
         def write(change: Change) -> list[Effect]:
-            row = change.preempt(live.attempt, live.token, f"{self._why_stopping(drive)} (ended after {GRACE_SECONDS:g} s)")
+            row = change.preempt(
+                live.attempt, live.token, f"{self._why_stopping(drive)} (ended after {GRACE_SECONDS:g} s)"
+            )
             return [lambda: self._queued_again(drive, live, row, wait=0.0)]
 
         self._guarded(drive, write)
@@ -421,12 +457,7 @@ class Coordinator:
             self._forget(drive, live)
         self._drives.pop(drive.row.id, None)
         self._strategist.close(drive.row.id)
-
-        def write(change: Change) -> list[Effect]:
-            change.note("driver_fenced", study_id=drive.row.id, reason=reason, token=drive.token)
-            return []
-
-        self._commit(write)
+        self._note(drive.row.id, "driver_fenced", reason)
 
     # -- starting trials -------------------------------------------------------------------------------------------
 
@@ -440,7 +471,7 @@ class Coordinator:
             starting = drive.startable(now)[:slots]
             if starting:
                 self._start(drive, starting)
-            count = drive.wants(slots, now) - 0 if not starting else drive.wants(slots - len(starting), now)
+            count = drive.wants(slots - len(starting), now)
             if count > 0:
                 drive.asked = drive.request(count)
                 self._strategist.ask(drive.asked)
@@ -457,7 +488,11 @@ class Coordinator:
             effects: list[Effect] = []
             for trial in trials:
                 attempt = change.start(trial.id, drive.token, worker=drive.row.pool)
-                effects.append(lambda trial=trial, attempt=attempt: self._dispatch(drive, trial, attempt.id, attempt.token, parents[trial.number]))  # type: ignore[misc]
+                effects.append(
+                    lambda trial=trial, attempt=attempt: self._dispatch(
+                        drive, trial, attempt.id, attempt.token, parents[trial.number]
+                    )
+                )  # type: ignore[misc]
             return effects
 
         self._guarded(drive, write)
@@ -525,6 +560,3 @@ def _result(message: Ended) -> Result:
         details=outcome.details,
         artifacts=message.artifacts,
     )
-
-
-__all__ = ["Coordinator", "StudyDriven"]

@@ -108,6 +108,7 @@ class Vanished:
 
 Message = Began | Beat | Reported | Ended | Stopped | Crashed | Vanished
 
+
 def encode_assignment(assignment: Assignment) -> str:
     """The assignment as JSON text."""
     return json.dumps(asdict(assignment))
