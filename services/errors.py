@@ -49,3 +49,13 @@ class ArtifactDamaged(HalmaError):
 
 class Refused(HalmaError):
     """A transition was refused by its guard (state or fencing token). Nothing was written."""
+
+
+class StoreUnavailable(HalmaError):
+    """The trial database can't be reached or written just now: it is away, read-only, or its disk is full."""
+
+
+class InterruptedByUser(HalmaError):
+    """Ctrl-C or SIGTERM: the study is resumable."""
+
+    exit_code = 130
