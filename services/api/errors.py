@@ -18,6 +18,7 @@ from services.errors import (
     HalmaError,
     NameTaken,
     Refused,
+    StoreUnavailable,
     StudyDriven,
     UnknownStudy,
     UnknownTrial,
@@ -32,6 +33,7 @@ STATUS: Mapping[type[HalmaError], int] = {
     WrongState: 409,
     Refused: 409,
     DatabaseUnavailable: 503,
+    StoreUnavailable: 503,
     ArtifactDamaged: 410,
     BadInput: 422,
 }
@@ -68,9 +70,9 @@ def body_of(error: HalmaError) -> ErrorBody:
 
 
 def _line(origin: str) -> int | None:
-    """The line of `file:line`."""
+    """The line of `file:line`; none of an override such as `--set a=b:3`."""
     line = origin.rpartition(":")[2]
-    return int(line) if line.isdigit() else None
+    return int(line) if line.isdigit() and not origin.startswith("--") else None
 
 
 def answer(status: int, body: ErrorBody, headers: Mapping[str, str] | None = None) -> JSONResponse:

@@ -56,6 +56,14 @@ def study_of(event: EventRow) -> str | None:
     return event.study
 
 
+def trials_of(event: EventRow) -> list[int]:
+    """Numbers of the trials whose rows an event changed; a proposal names those it made."""
+    if event.trial is not None:
+        return [event.trial]
+    made = event.payload.get("trials")
+    return [int(number) for number in made] if event.kind == "proposed" and isinstance(made, list) else []
+
+
 RESET = encode({"type": "reset"})
 
 
@@ -188,7 +196,7 @@ class Hub:
             "events": [EventOut.of(event) for event in mine],
         }
         if topic is not None:
-            numbers = sorted({event.trial for event in mine if event.trial is not None})
+            numbers = sorted({number for event in mine for number in trials_of(event)})
             frame["trials"] = [TrialOut.of(row) for row in self._rows(topic, numbers)]
         return encode(frame)
 

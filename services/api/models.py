@@ -1,4 +1,7 @@
-"""What the API says, typed: one model for each thing, made from the store's rows."""
+"""What the API says, typed: one model for each thing, made from the store's rows.
+
+Names are those of `services.listings`, which the command line prints.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +49,7 @@ class StudySummary(Model):
     priority: int
     target_trials: int | None
     target_cost: float | None
-    counts: dict[str, int] = Field(description="number of trials in each state")
+    trials: dict[str, int] = Field(description="number of trials in each state")
     cost: Cost
     best_value: float | None
     driver: DriverOut | None
@@ -68,7 +71,7 @@ class StudySummary(Model):
             priority=row.priority,
             target_trials=row.target_trials,
             target_cost=row.target_cost,
-            counts=dict(row.counts),
+            trials=dict(row.counts),
             cost=Cost(samples=row.samples, seconds=row.seconds),
             best_value=row.best_value,
             driver=None if driver is None else DriverOut(host=driver.host, pid=driver.pid, since=row.driven_since),
@@ -124,8 +127,7 @@ class TrialOut(Model):
     params: dict[str, JsonValue]
     z: float | None = Field(description="difficulty in [0, 1]")
     warm_start: int | None = Field(description="number of the trial whose policy it started from")
-    # Unsigned 64-bit, which JavaScript's numbers can't hold.
-    seed: str = Field(description="unsigned 64-bit, in decimal")
+    seed: int = Field(description="unsigned 64-bit: more than JavaScript's numbers hold")
     position: int | None = Field(description="place in the study's history, none while open")
     value: float | None
     features: list[float] | None
@@ -151,7 +153,7 @@ class TrialOut(Model):
             params=dict(row.params),
             z=row.z,
             warm_start=row.warm_start,
-            seed=str(row.seed),
+            seed=row.seed,
             position=row.position,
             value=row.value,
             features=None if row.features is None else list(row.features),
@@ -210,7 +212,6 @@ class AttemptOut(Model):
 class ArtifactOut(Model):
     """A file that a trial left."""
 
-    name: str
     sha256: str
     size: int = Field(description="bytes")
     created_at: datetime
@@ -218,14 +219,14 @@ class ArtifactOut(Model):
     @classmethod
     def of(cls, row: ArtifactRow) -> Self:
         """From the store's row."""
-        return cls(name=row.name, sha256=row.sha256, size=row.size, created_at=row.created_at)
+        return cls(sha256=row.sha256, size=row.size, created_at=row.created_at)
 
 
 class TrialDetail(TrialOut):
     """A trial with its attempts and what it left."""
 
     attempt_list: list[AttemptOut]
-    artifacts: list[ArtifactOut]
+    artifacts: dict[str, ArtifactOut] = Field(description="what it left, by name")
 
 
 class Metrics(Model):

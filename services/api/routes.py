@@ -186,7 +186,7 @@ def one_trial(service: Uses, study: Study, number: Number) -> TrialDetail:
     return TrialDetail(
         **dict(TrialOut.of(row)),
         attempt_list=[AttemptOut.of(attempt) for attempt in service.store.attempts(row.id)],
-        artifacts=[ArtifactOut.of(artifact) for artifact in service.store.artifacts(row.id)],
+        artifacts={artifact.name: ArtifactOut.of(artifact) for artifact in service.store.artifacts(row.id)},
     )
 
 
@@ -212,9 +212,9 @@ def attempts(service: Uses, study: Study, number: Number) -> list[AttemptOut]:
 
 
 @router.get("/studies/{study}/trials/{number}/artifacts", tags=["artifacts"])
-def artifacts(service: Uses, study: Study, number: Number) -> list[ArtifactOut]:
-    """What a trial left."""
-    return [ArtifactOut.of(row) for row in service.store.artifacts(_trial(service, study, number).id)]
+def artifacts(service: Uses, study: Study, number: Number) -> dict[str, ArtifactOut]:
+    """What a trial left, by name."""
+    return {row.name: ArtifactOut.of(row) for row in service.store.artifacts(_trial(service, study, number).id)}
 
 
 @router.get(
