@@ -14,7 +14,7 @@ Events, and what their payload holds (`trial` is the trial's number; studies' ow
 | `started` | trial | `attempt`, `worker`, `host` |
 | `progress` | trial | `attempt`, `iteration`, `metrics`, `samples`, `seconds` |
 | `lost`, `failed`, `preempted` | trial | `attempt`, `reason`, `retries`; the trial is queued again |
-| `finished` | trial | `state`, `position`, `value`, `features`, `samples`, `seconds`, `message`, `attempt`; it is final |
+| `finished` | trial | `state`, `position`, `value`, `features`, `samples`, `seconds`, `message`, `attempt`; final |
 """
 
 from __future__ import annotations
