@@ -6,13 +6,14 @@ import time
 from typing import Annotated
 
 import typer
-
 from services.cli.driving import drive_here, is_driven_elsewhere
+
 from services.cli.events import event_line
-from services.cli.session import AsJson, Db, Session, console, print_json, say, session
+from services.cli.session import AsJson, Db, Session, console, print_json, print_json_line, say, session
 from services.cli.tables import done_of, fields_table, state_text, studies_table, trials_table
 from services.cli.words import count, duration, several, value_of
-from services.errors import BadInput, WrongState
+from services.driver import this_process
+from services.errors import BadInput, Refused, StudyDriven, WrongState
 from services.listings import event_json, study_json, trial_json
 from services.report import behaviour_of, distinct_trials, units_of
 from services.states import LIVE_STUDY, OBSERVED_TRIAL, StudyState, TrialState
@@ -127,7 +128,7 @@ def watch(
                 cursor = batch[-1].id
                 for event in batch:
                     if as_json:
-                        _print_json_line(event_json(event))
+                        print_json_line(event_json(event))
                     elif line := event_line(event):
                         say(line)
             if row.state not in LIVE_STUDY:
@@ -165,9 +166,6 @@ def _ask(name: str, wanted: str, db: str | None, *, as_json: bool, driven: str) 
 
 def _let_go(opened: Session, row: StudyRow) -> None:
     """Release a study from a driver that is dead, so that a request takes effect at once."""
-    from services.driver import this_process  # noqa: PLC0415 - with its reader
-    from services.errors import Refused, StudyDriven
-
     try:
         with opened.store.transaction() as change:
             token = change.drive(row.name, this_process(), take_over_from=row.drive_token)
@@ -185,7 +183,9 @@ def extend(
 ) -> None:
     """Raise the budget of a study. `halma resume` then spends it."""
     if not trials and not cost:
-        raise BadInput(f"extend: expected --trials N or --cost N, found neither; for example halma extend {name} --trials 10")
+        raise BadInput(
+            f"extend: expected --trials N or --cost N, found neither; for example halma extend {name} --trials 10"
+        )
     with session(db) as opened:
         with opened.store.transaction() as change:
             row = change.extend(name, trials=trials, cost=cost)
@@ -217,10 +217,3 @@ def resume(
             )
         drive_here(opened, name, inline=inline, take_over=take_over)
 
-
-def _print_json_line(value: object) -> None:
-    import json  # noqa: PLC0415 - one line a value, unlike `print_json`
-    import sys
-
-    sys.stdout.write(json.dumps(value, ensure_ascii=False) + "\n")
-    sys.stdout.flush()
