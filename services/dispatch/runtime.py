@@ -84,13 +84,11 @@ class WorkerContext:
 
     def load_checkpoint(self) -> Checkpoint | None:
         newest = self._artifacts.newest_checkpoint(self._assignment.study_key, self._assignment.trial)
-        return None if newest is None else decode_checkpoint(newest)
+        return None if newest is None else decode_checkpoint(newest[1])
 
     def save_artifact(self, name: str, data: bytes) -> None:
         assignment = self._assignment
-        self._kept[name] = self._artifacts.put(
-            assignment.study_key, assignment.trial, name, data, token=assignment.token
-        )
+        self._kept[name] = self._artifacts.put(assignment.study_key, assignment.trial, name, data)
 
     def parent_artifact(self, name: str) -> bytes:
         for artifact in self._assignment.parent_artifacts:
