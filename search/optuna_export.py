@@ -91,9 +91,7 @@ def export(name: str, space: Space, trials: Sequence[Trial], storage: str) -> in
     return len(trials)
 
 
-def _frozen(
-    trial: Trial, known: Mapping[str, optuna.distributions.BaseDistribution]
-) -> optuna.trial.FrozenTrial:
+def _frozen(trial: Trial, known: Mapping[str, optuna.distributions.BaseDistribution]) -> optuna.trial.FrozenTrial:
     state = _STATES[trial.status]
     if trial.value is None and state is optuna.trial.TrialState.COMPLETE:
         state = optuna.trial.TrialState.FAIL

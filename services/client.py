@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import httpx
 
@@ -97,7 +97,7 @@ class Client:
         self._settings = settings
         self._http = httpx.Client(base_url=self.url, timeout=TIMEOUT, transport=transport)
 
-    def __enter__(self) -> Client:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -116,7 +116,9 @@ class Client:
         try:
             answer = self._http.post(path, json=body, headers={"Authorization": f"Bearer {self._token()}"})
         except httpx.InvalidURL as error:
-            raise BadInput(f"--server: expected a URL such as http://127.0.0.1:8642, found {self.url} ({error})") from None
+            raise BadInput(
+                f"--server: expected a URL such as http://127.0.0.1:8642, found {self.url} ({error})"
+            ) from None
         except httpx.HTTPError as error:
             raise ServerUnavailable(
                 f"expected a service at {self.url}, found: {error}; start one with `halma serve`, "

@@ -14,10 +14,10 @@ import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from services.artifacts import open_artifacts
 from services.errors import ArtifactDamaged, BadInput
 from services.settings import Settings
 from services.store.open import open_store
-from services.artifacts import open_artifacts
 
 PACKAGES = ("torch", "pybullet", "ray", "botorch", "optuna", "gymnasium", "sqlalchemy", "pydantic", "fastapi")
 LEAST_MEMORY = 4 * 2**30
@@ -94,7 +94,9 @@ def _disk(settings: Settings) -> Check:
     while not place.exists():
         place = place.parent
     free = shutil.disk_usage(place).free
-    return Check("disk", free >= LEAST_DISK, f"{free / 2**30:.1f} GiB free at {place}", "free some space, or set HALMA_HOME")
+    return Check(
+        "disk", free >= LEAST_DISK, f"{free / 2**30:.1f} GiB free at {place}", "free some space, or set HALMA_HOME"
+    )
 
 
 def _database(settings: Settings) -> Check:
@@ -118,7 +120,9 @@ def _artifacts(settings: Settings) -> Check:
         artifacts.remove(written.path)
     except (OSError, ImportError, ValueError, BadInput, ArtifactDamaged) as error:
         return Check("artifacts", False, f"{settings.artifacts}: {error}", "make it writable, or set HALMA_ARTIFACTS")
-    return Check("artifacts", good, f"{settings.artifacts}, writable", "check the disk: what was written reads differently")
+    return Check(
+        "artifacts", good, f"{settings.artifacts}, writable", "check the disk: what was written reads differently"
+    )
 
 
 def _ray(_settings: Settings) -> Check:
@@ -133,7 +137,7 @@ def _browser(_settings: Settings) -> Check:
     """Asks the pages' own check in a process of its own: the services don't import the dashboards."""
     if importlib.util.find_spec("dashboards") is None:
         return Check("browser", False, "the package dashboards is not installed", "make setup")
-    asked = subprocess.run(  # noqa: S603 - our own module under our own interpreter
+    asked = subprocess.run(
         [sys.executable, "-m", "dashboards.vendor", "--check"], capture_output=True, text=True, timeout=60, check=False
     )
     lines = asked.stderr.strip().splitlines()

@@ -97,7 +97,9 @@ def write(store: Store, row: StudyRow, form: Format, path: Path) -> int:
         else:
             _write_parquet(columns(row, trials), path)
     except OSError as error:
-        raise BadInput(f"--output: expected a file that can be written, found {path}: {error.strerror or error}") from None
+        raise BadInput(
+            f"--output: expected a file that can be written, found {path}: {error.strerror or error}"
+        ) from None
     return len(trials)
 
 

@@ -44,7 +44,9 @@ def tasks(
             table.add_row(info.name, Text(info.summary), ", ".join(info.parameters) or "-", behaviour)
         console().print(table)
         say()
-        say("One in full: halma tasks NAME. Your own: `task: module:attribute` in a study file; any gymnasium:ID works.")
+        say(
+            "One in full: halma tasks NAME. Your own: `task: module:attribute` in a study file; any gymnasium:ID works."
+        )
         return
     try:
         info = load_task(name).info({})
@@ -133,7 +135,11 @@ def strategies(
     for info in infos:
         looks = [
             word
-            for word, looked in (("value", info.uses_values), ("behaviour", info.uses_features), ("difficulty", info.uses_z))
+            for word, looked in (
+                ("value", info.uses_values),
+                ("behaviour", info.uses_features),
+                ("difficulty", info.uses_z),
+            )
             if looked
         ]
         table.add_row(

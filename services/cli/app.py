@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated
 
 import typer
 
 from services.cli import about, keeping, starting, studies
-from services.version import halma_version
 
-EPILOG = "Places: HALMA_HOME (default ~/.halma), HALMA_DB, HALMA_ARTIFACTS. Exit codes: 0 done, 2 bad input, 1 anything else, 130 interrupted."
+EPILOG = (
+    "Places: HALMA_HOME (default ~/.halma), HALMA_DB, HALMA_ARTIFACTS. "
+    "Exit codes: 0 done, 2 bad input, 1 anything else, 130 interrupted."
+)
 
 app = typer.Typer(
     name="halma",
@@ -21,15 +24,19 @@ app = typer.Typer(
 )
 
 
-def _print_version(wanted: bool) -> None:  # noqa: FBT001 - the shape of an option's callback
+def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"halma {halma_version()}")
+        try:
+            number = version("halma")
+        except PackageNotFoundError:
+            number = "(not installed)"
+        typer.echo(f"halma {number}")
         raise typer.Exit
 
 
 @app.callback()
 def halma(
-    version: Annotated[  # noqa: ARG001 - its callback does the work
+    show_version: Annotated[
         bool, typer.Option("--version", help="Print the version.", is_eager=True, callback=_print_version)
     ] = False,
 ) -> None:
@@ -37,8 +44,8 @@ def halma(
 
 
 for group, commands in (
-    ("Start", (starting.run, starting.serve, starting.submit)),
-    ("Look", (studies.ls, studies.show, studies.trials, studies.watch, keeping.replay, keeping.export)),
+    ("Start", (starting.run, starting.submit)),
+    ("Look", (studies.ls, studies.show, studies.trials, studies.watch, keeping.export)),
     ("Steer", (studies.pause, studies.resume, studies.cancel, studies.extend)),
     ("Know", (about.tasks, about.strategies, about.schema, about.doctor)),
 ):

@@ -18,7 +18,7 @@ def event_line(event: EventRow) -> str | None:
     if words is None:
         return None
     who = "study" if event.trial is None else f"trial {event.trial}"
-    return f"{event.at.strftime('%H:%M:%S')}  {who}: {words}"
+    return f"{event.at.astimezone().strftime('%H:%M:%S')}  {who}: {words}"
 
 
 def metric_words(metrics: Mapping[str, Any]) -> str:

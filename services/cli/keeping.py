@@ -16,7 +16,9 @@ from services.export import SUFFIXES, Format, write
 def export(
     name: StudyName,
     form: Annotated[Format, typer.Option("--format", "-f", help="What to write.")] = Format.CSV,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="File; default: STUDY and a suffix, here.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="File; default: STUDY and a suffix, here.")
+    ] = None,
     db: Db = None,
 ) -> None:
     """Export the trials of a study."""

@@ -109,7 +109,8 @@ class Observer:
         self._seen.append((now, samples))
         while now - self._seen[0][0] > RATE_SECONDS and len(self._seen) > 2:
             self._seen.popleft()
-        (then, before), span = self._seen[0], now - self._seen[0][0]
+        then, before = self._seen[0]
+        span = now - then
         return (samples - before) / span if span >= 1.0 and samples > before else None
 
     def _left(self, row: StudyRow, running: list[TrialRow], rate: float | None) -> float | None:

@@ -11,8 +11,8 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from services.artifacts import ArtifactStore, open_artifacts
 
+from services.artifacts import ArtifactStore, open_artifacts
 from services.settings import Settings, find_settings
 from services.store.open import open_store
 from services.store.port import Store

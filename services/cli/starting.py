@@ -52,7 +52,9 @@ def submit(
     file: File,
     overrides: Overrides = None,
     name: NewName = None,
-    server: Annotated[str | None, typer.Option("--server", help="URL of the service; default: the one of this home.")] = None,
+    server: Annotated[
+        str | None, typer.Option("--server", help="URL of the service; default: the one of this home.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Hand a study to a running service (`halma serve`)."""

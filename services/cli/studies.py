@@ -6,8 +6,8 @@ import time
 from typing import Annotated
 
 import typer
-from services.cli.driving import drive_here, is_driven_elsewhere
 
+from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
 from services.cli.session import AsJson, Db, Session, console, print_json, print_json_line, say, session
 from services.cli.tables import done_of, fields_table, state_text, studies_table, trials_table
@@ -70,8 +70,8 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         "cost": f"{count(row.samples)} samples, {duration(row.seconds)} of training",
         "driven by": f"process {row.driver.pid} on {row.driver.host}" if row.driver else None,
         "seed": str(row.seed),
-        "created": row.created_at.strftime("%Y-%m-%d %H:%M:%S"),
-        "finished": row.finished_at.strftime("%Y-%m-%d %H:%M:%S") if row.finished_at else None,
+        "created": row.created_at.astimezone().strftime("%Y-%m-%d %H:%M:%S"),
+        "finished": row.finished_at.astimezone().strftime("%Y-%m-%d %H:%M:%S") if row.finished_at else None,
     }
     console().print(fields_table({name: value for name, value in fields.items() if value is not None}))
     say()
@@ -216,4 +216,3 @@ def resume(
                 f"look at it with `halma show {name}`, or give it more with `halma extend {name} --trials 10`"
             )
         drive_here(opened, name, inline=inline, take_over=take_over)
-
