@@ -14,7 +14,7 @@ from services.artifacts import ArtifactStore
 from services.dispatch.port import Beat, Began, Crashed, Dispatcher, Ended, Message, Reported, Stopped, Vanished
 from services.drive import Drive, Leaving, Live
 from services.driver import lives, this_process
-from services.errors import HalmaError, Refused, StoreUnavailable
+from services.errors import DatabaseUnavailable, HalmaError, Refused
 from services.proposing import Proposed, Strategist, trial_seed
 from services.spec import StudySpec
 from services.states import OPEN_TRIAL, StudyState, TrialState
@@ -201,21 +201,64 @@ class Coordinator:
 
     # -- writing ---------------------------------------------------------------------------------------------------
 
-    def _commit(self, write: Callable[[Change], list[Effect]]) -> None:
-        """Commit, then let the effects happen. A database that is away for a while is waited for: workers go on."""
-        pause = 0.1
+    def _commit(self, write: Callable[[Change], list[Effect]], *, again: bool = False) -> None:
+        """Commit, then let the effects happen.
+
+        A database that goes away leaves open whether the commit was made. It is waited for (workers go on meanwhile),
+        and what is in memory is read anew. Then the write is made `again` where its transitions are safe to repeat
+        (a message that was committed is refused the second time); otherwise the next pass decides anew.
+
+        Raises:
+            DatabaseUnavailable: it is away, and the driver has been asked to leave.
+        """
         while True:
             try:
                 with self._store.transaction() as change:
                     effects = write(change)
+            except DatabaseUnavailable as error:
+                self._wait_for_the_record(error)
+                if not again:
+                    return
+            else:
                 break
-            except StoreUnavailable:
-                if self._leave is not None:
-                    raise
-                self._sleep(pause)
-                pause = min(2 * pause, 5.0)
         for effect in effects:
             effect()
+
+    def _wait_for_the_record(self, trouble: DatabaseUnavailable) -> None:
+        pause = 0.1
+        while True:
+            if self._leave is not None:
+                raise trouble
+            self._sleep(pause)
+            pause = min(2 * pause, 5.0)
+            try:
+                for drive in list(self._drives.values()):
+                    self._read_anew(drive)
+            except DatabaseUnavailable as error:
+                trouble = error
+            else:
+                return
+
+    def _read_anew(self, drive: Drive) -> None:
+        """Make the view of a study agree with its record."""
+        row = self._store.study(drive.row.name)
+        if row.id != drive.row.id or row.drive_token != drive.token:
+            return  # the next look at what people want finds out, and drops it
+        drive.row, drive.asked = row, None
+        drive.history = self._store.history(row.id)
+        drive.open = {trial.number: trial for trial in self._store.trials(row.id, states=OPEN_TRIAL)}
+        drive.next_number = sum(row.counts.values())
+        for live in list(drive.live.values()):
+            if live.trial not in drive.open:
+                self._forget(drive, live)
+        held = {live.attempt for live in drive.live.values()}
+        with self._store.transaction() as change:
+            for trial in drive.open.values():
+                if trial.state is TrialState.RUNNING:
+                    newest = self._store.attempts(trial.id)[-1]
+                    if newest.id not in held:
+                        # Its start was committed, but the worker was never told.
+                        drive.open[trial.number] = change.preempt(newest.id, newest.token, "never dispatched")
 
     def _receive(self, messages: Sequence[Message]) -> None:
         """Messages that arrived together share one commit."""
@@ -233,7 +276,7 @@ class Coordinator:
             return effects
 
         if any(self._worth_a_commit(message) for message in messages):
-            self._commit(write)
+            self._commit(write, again=True)
         self._control()
 
     def _worth_a_commit(self, message: Message) -> bool:
@@ -428,7 +471,7 @@ class Coordinator:
         self._control_due = now + CONTROL_SECONDS
         try:
             rows = self._store.wanted(list(self._drives))
-        except StoreUnavailable:
+        except DatabaseUnavailable:
             return
         for drive in list(self._drives.values()):
             row = rows.get(drive.row.id)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from services.artifacts import study_key
 from services.dispatch.port import Assignment
 from services.proposing import ProposalRequest, candidate_json, observation_json, proposal_key
 from services.spec import StudySpec
@@ -83,7 +84,7 @@ class Drive:
     @property
     def key(self) -> str:
         """Folder of the study in the artifact store."""
-        return f"{self.row.id:04d}-{self.row.name}"
+        return study_key(self.row.id, self.row.name)
 
     @property
     def cores(self) -> float:

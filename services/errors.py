@@ -40,7 +40,7 @@ class WrongState(BadInput):
 
 
 class DatabaseUnavailable(BadInput):
-    """The trial database can't be opened, or is of another schema."""
+    """The trial database can't be opened, reached or written, or is of another schema."""
 
 
 class ArtifactDamaged(HalmaError):
@@ -49,10 +49,6 @@ class ArtifactDamaged(HalmaError):
 
 class Refused(HalmaError):
     """A transition was refused by its guard (state or fencing token). Nothing was written."""
-
-
-class StoreUnavailable(HalmaError):
-    """The trial database can't be reached or written just now: it is away, read-only, or its disk is full."""
 
 
 class InterruptedByUser(HalmaError):

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from search.registry import strategy_class
 from workers.registry import load_task
 
 from search import BadSetting as BadStrategySetting
 from search import SearchError, UnknownStrategy
+from search.registry import strategy_class
 from services.located_yaml import Path as Place
 from services.spec import ResolvedSpec, StudySpec
 from services.spec_file import BadStudy, Draft, Problem, draft, read_draft

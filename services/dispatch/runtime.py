@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import safetensors.numpy
-from workers.run import run
 
 import services
 import workers
@@ -20,6 +19,7 @@ from services.dispatch.port import Assignment, Beat, Began, Crashed, Ended, Mess
 from services.errors import ArtifactDamaged
 from services.store.port import NewArtifact
 from workers.contracts import BadJob, Checkpoint, Context, Cost, Interrupted, Job
+from workers.run import run
 
 BEAT_SECONDS = 2.0
 """A worker says that it lives this often, whatever its training does."""
@@ -84,13 +84,11 @@ class WorkerContext:
 
     def load_checkpoint(self) -> Checkpoint | None:
         newest = self._artifacts.newest_checkpoint(self._assignment.study_key, self._assignment.trial)
-        return None if newest is None else decode_checkpoint(newest)
+        return None if newest is None else decode_checkpoint(newest[1])
 
     def save_artifact(self, name: str, data: bytes) -> None:
         assignment = self._assignment
-        self._kept[name] = self._artifacts.put(
-            assignment.study_key, assignment.trial, name, data, token=assignment.token
-        )
+        self._kept[name] = self._artifacts.put(assignment.study_key, assignment.trial, name, data)
 
     def parent_artifact(self, name: str) -> bytes:
         for artifact in self._assignment.parent_artifacts:
