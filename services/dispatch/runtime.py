@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import safetensors.numpy
-from workers.run import run
 
 import services
 import workers
@@ -20,6 +19,7 @@ from services.dispatch.port import Assignment, Beat, Began, Crashed, Ended, Mess
 from services.errors import ArtifactDamaged
 from services.store.port import NewArtifact
 from workers.contracts import BadJob, Checkpoint, Context, Cost, Interrupted, Job
+from workers.run import run
 
 BEAT_SECONDS = 2.0
 """A worker says that it lives this often, whatever its training does."""
