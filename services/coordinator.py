@@ -304,7 +304,7 @@ class Coordinator:
         for live in list(drive.live.values()):
             self._dispatcher.kill(live.attempt)
             self._held.forget(drive, live)
-        self._held.drives.pop(drive.row.id, None)
+        self._held.release(drive)
         self._strategist.close(drive.row.id)
         if reason is not None:
             self._held.note(drive.row.id, "driver_fenced", reason)
@@ -312,25 +312,34 @@ class Coordinator:
     # -- starting trials -------------------------------------------------------------------------------------------
 
     def _fill(self) -> None:
-        """Start what may start, the most deserving study first: by priority, then by fewest cores held."""
+        """Start what may start, and ask for what could."""
         now = self._clock()
-        drives = self._held.drives.values()
-        for drive in sorted(drives, key=lambda drive: (-drive.row.priority, drive.cores, drive.row.id)):
-            if drive.leaving is not None:
-                continue
-            slots = self._slots(drive)
+        for drive, slots in self._shares(now):
             starting = drive.startable(now)[:slots]
             if starting:
                 self._start(drive, starting)
-            count = drive.wants(slots - len(starting), now)
-            if count > 0:
-                drive.asked = drive.request(count)
+            if slots > len(starting):
+                drive.asked = drive.request(slots - len(starting))
                 self._strategist.ask(drive.asked)
 
-    def _slots(self, drive: Drive) -> int:
-        by_study = drive.spec.resources.parallel - len(drive.live)
-        by_pool = self._dispatcher.free(drive.row.pool) // drive.spec.resources.cpus
-        return int(max(0, min(by_study, by_pool)))
+    def _shares(self, now: float) -> list[tuple[Drive, int]]:
+        """Hand out free slots one by one: to the highest priority, then to who holds the fewest cores of all."""
+        drives = [drive for drive in self._held.drives.values() if drive.leaving is None]
+        free = {pool: self._dispatcher.free(pool) for pool in {drive.row.pool for drive in drives}}
+        for drive in drives:
+            free[drive.row.pool] -= drive.reserved
+        given = dict.fromkeys((drive.row.id for drive in drives), 0)
+        while True:
+            hungry = [
+                drive
+                for drive in drives
+                if given[drive.row.id] < drive.appetite(now) and free[drive.row.pool] >= drive.spec.resources.cpus
+            ]
+            if not hungry:
+                return [(drive, given[drive.row.id]) for drive in drives if given[drive.row.id]]
+            chosen = min(hungry, key=lambda drive: drive.claim(given[drive.row.id]))
+            given[chosen.row.id] += 1
+            free[chosen.row.pool] -= chosen.spec.resources.cpus
 
     def _start(self, drive: Drive, trials: Sequence[TrialRow]) -> None:
         parents = {trial.number: self._parent_artifacts(drive, trial) for trial in trials}
@@ -383,5 +392,5 @@ class Coordinator:
         self._guarded(drive, write)
 
     def _released(self, drive: Drive) -> None:
-        self._held.drives.pop(drive.row.id, None)
+        self._held.release(drive)
         self._strategist.close(drive.row.id)

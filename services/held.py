@@ -32,7 +32,7 @@ class Held:
     impatient: Callable[[], bool]
     drives: dict[int, Drive] = field(default_factory=dict)
     study_of: dict[int, int] = field(default_factory=dict)
-    """Study of each live attempt, by attempt id."""
+    """Study of each attempt that this driver has started, by attempt id."""
 
     def live(self, message: Message) -> tuple[Drive, Live] | None:
         """The study and attempt that a message is about; None for one that is not, or no longer, ours."""
@@ -41,9 +41,12 @@ class Held:
         return None if drive is None or live is None or live.token != message.token else (drive, live)
 
     def forget(self, drive: Drive, live: Live) -> None:
-        """An attempt is over."""
+        """An attempt is over. Its study stays known, for the late messages of a worker that was given up."""
         drive.live.pop(live.attempt, None)
-        self.study_of.pop(live.attempt, None)
+
+    def release(self, drive: Drive) -> None:
+        """A study is out of this driver's hands."""
+        self.drives.pop(drive.row.id, None)
 
     def note(self, study_id: int, kind: str, reason: str) -> None:
         """Append an event about a study."""
