@@ -107,11 +107,22 @@ class Drive:
             if trial.state is TrialState.QUEUED and self.not_before.get(number, now) <= now
         ]
 
-    def wants(self, slots: float, now: float) -> int:
-        """How many candidates to ask for, with `slots` trials startable at once."""
-        if self.leaving or self.asked or self.exhausted_at == len(self.history):
-            return 0
-        return int(max(0, min(slots - len(self.startable(now)), self.remaining())))
+    @property
+    def reserved(self) -> float:
+        """Cores that the candidates it has asked for will need."""
+        return self.asked.count * self.spec.resources.cpus if self.asked else 0.0
+
+    def appetite(self, now: float) -> float:
+        """How many more trials could run now: those that wait, and those that the search may be asked for."""
+        room = self.spec.resources.parallel - len(self.live)
+        if self.asked:
+            return min(room - self.asked.count, len(self.startable(now)))
+        more = 0 if self.exhausted_at == len(self.history) else self.remaining()
+        return min(room, len(self.startable(now)) + more)
+
+    def claim(self, given: int) -> tuple[int, float, int]:
+        """Its place in the queue for a slot, when it has been given some: the smallest comes first."""
+        return (-self.row.priority, self.cores + self.reserved + given * self.spec.resources.cpus, self.row.id)
 
     def request(self, count: int) -> ProposalRequest:
         """What a proposal of `count` candidates gets to see now."""

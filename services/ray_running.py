@@ -10,7 +10,7 @@ from typing import Any
 import ray
 
 from services.errors import HalmaError
-from services.ray_service import CoordinatorActor, start_ray, stop_ray
+from services.ray_service import start_coordinator, start_ray, stop_ray
 from services.running import INTERRUPTED, leaving_on_signals
 from services.states import StudyState
 
@@ -76,7 +76,7 @@ def drive_with_ray(
     start_ray(pools, ray_address)
     try:
         supervisor = Supervisor(
-            lambda: CoordinatorActor.remote(database, artifact_root, directory, dict(pools)),  # type: ignore[attr-defined]
+            lambda: start_coordinator(database, artifact_root, directory, pools),
             lambda actor: actor.drive.remote(name, take_over=take_over),
         )
         with leaving_on_signals(lambda: supervisor.leave(StudyState.PAUSED, INTERRUPTED)):
@@ -97,7 +97,7 @@ def coordinator_serving(
     start_ray(pools, ray_address)
     try:
         supervisor = Supervisor(
-            lambda: CoordinatorActor.remote(database, artifact_root, directory, dict(pools)),  # type: ignore[attr-defined]
+            lambda: start_coordinator(database, artifact_root, directory, pools),
             lambda actor: actor.serve.remote(),
         )
         thread = threading.Thread(target=supervisor.run, name="coordinator", daemon=True)

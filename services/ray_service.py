@@ -12,7 +12,6 @@ from typing import Any
 
 import ray
 
-from services.artifacts import open_artifacts
 from services.coordinator import Coordinator
 from services.dispatch.ray_workers import RayDispatcher, pool_resource
 from services.proposing import (
@@ -28,8 +27,10 @@ from services.states import StudyState
 from services.store.open import open_store
 from services.store.port import JSON
 
+Actor = Any
+"""A handle on an actor: what may be called on it is known to whoever made it."""
 
-@ray.remote(max_restarts=0, num_cpus=0)
+
 class StrategyActor:
     """One study's strategy, in a process of its own: a slow model fit never delays a dispatch."""
 
@@ -41,6 +42,12 @@ class StrategyActor:
         return encode_proposed(self._proposer.propose(decode_request(text)))
 
 
+def start_strategy(spec: Mapping[str, JSON]) -> Actor:
+    """A strategy actor. It takes no core: it works while the trainings wait for it, and rests while they run."""
+    shaped: Actor = ray.remote(StrategyActor)
+    return shaped.options(num_cpus=0, max_restarts=0).remote(dict(spec))
+
+
 @dataclass(slots=True)
 class RayStrategist:
     """The `services.proposing.Strategist` with an actor a study.
@@ -50,14 +57,14 @@ class RayStrategist:
     """
 
     dispatcher: RayDispatcher
-    _actors: dict[int, Any] = field(default_factory=dict)
+    _actors: dict[int, Actor] = field(default_factory=dict)
     _specs: dict[int, Mapping[str, JSON]] = field(default_factory=dict)
     _ready: list[Proposed] = field(default_factory=list)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def open(self, study: int, spec: Mapping[str, JSON]) -> None:
         self._specs[study] = spec
-        self._actors[study] = StrategyActor.remote(dict(spec))  # type: ignore[attr-defined]
+        self._actors[study] = start_strategy(spec)
 
     def ask(self, request: ProposalRequest) -> None:
         reference = self._actors[request.study].propose.remote(encode_request(request))
@@ -69,7 +76,7 @@ class RayStrategist:
             answer = decode_proposed(future.result())
         elif isinstance(error, ray.exceptions.RayActorError):
             # The process was lost, not the strategy: a new one is told the record from its beginning.
-            self._actors[request.study] = StrategyActor.remote(dict(self._specs[request.study]))  # type: ignore[attr-defined]
+            self._actors[request.study] = start_strategy(self._specs[request.study])
             answer = Proposed(request.study, missing_from=0)
         else:
             cause = error.cause if isinstance(error, ray.exceptions.RayTaskError) else error
@@ -90,7 +97,6 @@ class RayStrategist:
             ray.kill(actor)
 
 
-@ray.remote(max_restarts=0, num_cpus=0, concurrency_groups={"mail": 1, "control": 2})
 class CoordinatorActor:
     """The coordinator in a process of its own.
 
@@ -105,9 +111,7 @@ class CoordinatorActor:
         self._store = open_store(database)
         mailbox = ray.get_runtime_context().current_actor
         self._dispatcher = RayDispatcher(artifact_root, directory, dict(pools), mailbox)
-        self._coordinator = Coordinator(
-            self._store, open_artifacts(artifact_root), self._dispatcher, RayStrategist(self._dispatcher)
-        )
+        self._coordinator = Coordinator(self._store, self._dispatcher, RayStrategist(self._dispatcher))
 
     # A group of one thread: messages of one worker must not overtake each other.
     @ray.method(concurrency_group="mail")
@@ -140,6 +144,14 @@ class CoordinatorActor:
             self._coordinator.serve()
         finally:
             self._coordinator.close()
+
+
+def start_coordinator(database: str, artifact_root: str, directory: str, pools: Mapping[str, int]) -> Actor:
+    """A coordinator actor (see `CoordinatorActor`), not driving anything yet."""
+    shaped: Actor = ray.remote(CoordinatorActor)
+    # `mail` has one thread, so that messages of one worker can't overtake each other.
+    options = {"num_cpus": 0, "max_restarts": 0, "concurrency_groups": {"mail": 1, "control": 2}}
+    return shaped.options(**options).remote(database, artifact_root, directory, dict(pools))
 
 
 def start_ray(pools: Mapping[str, int], address: str | None = None) -> None:

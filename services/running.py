@@ -99,7 +99,7 @@ def drive(
 def _drive_inline(database: str, artifact_root: str, name: str, sizes: dict[str, int], *, take_over: bool) -> None:
     store = open_store(database)
     artifacts = open_artifacts(artifact_root)
-    coordinator = Coordinator(store, artifacts, InlineDispatcher(artifacts, sizes), InlineStrategist())
+    coordinator = Coordinator(store, InlineDispatcher(artifacts, sizes), InlineStrategist())
     try:
         with leaving_on_signals(lambda: coordinator.leave(StudyState.PAUSED, INTERRUPTED)):
             coordinator.take(name, take_over=take_over)

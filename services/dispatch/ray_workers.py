@@ -42,9 +42,8 @@ def pool_resource(pool: str) -> str:
     return f"pool:{pool}"
 
 
-@ray.remote(max_restarts=0, max_task_retries=0, max_concurrency=2)
 class Worker:
-    """A worker process. One attempt at a time; `stop` gets through while it runs.
+    """A worker process, as a Ray actor. One attempt at a time; `stop` gets through while it runs.
 
     Args:
         artifact_root: where trials leave their files.
@@ -146,9 +145,11 @@ class RayDispatcher:
             while shape[0] == pool and slots:
                 ray.kill(slots.pop().actor)
         resources = {} if pool == "default" else {pool_resource(pool): cpus}
-        actor = Worker.options(num_cpus=cpus, resources=resources).remote(  # type: ignore[attr-defined]
-            self.artifact_root, self.directory, self.mailbox
+        # Two threads, so that `stop` gets through while `run` runs.
+        shaped = ray.remote(Worker).options(
+            num_cpus=cpus, resources=resources, max_concurrency=2, max_restarts=0, max_task_retries=0
         )
+        actor = shaped.remote(self.artifact_root, self.directory, self.mailbox)
         return _Slot(actor, pool, cpus)
 
     def _when_over(self, assignment: Assignment) -> Callable[[Future[None]], None]:
