@@ -21,17 +21,24 @@ class Settings:
     Args:
         home: `HALMA_HOME`, default `~/.halma`.
         database: URL of the trial database, or path of its SQLite file.
-        artifacts: root of the files that trials leave. Each database has a root of its own.
+        artifacts: root of the files that trials leave, a folder or a URL that fsspec knows. Each database has its own.
     """
 
     home: Path
     database: str
-    artifacts: Path
+    artifacts: str
 
     @property
     def token_file(self) -> Path:
         """The API token; readable by its owner only."""
         return self.home / "token"
+
+    @property
+    def reports(self) -> Path:
+        """Folder of the pictures that reports draw: beside the artifacts, so that databases don't mix them up."""
+        if "://" in self.artifacts:
+            return self.home / "reports"
+        return Path(self.artifacts).with_suffix(".reports")
 
     @property
     def server_file(self) -> Path:
@@ -58,7 +65,12 @@ def find_settings(database: str | None = None, environ: Mapping[str, str] = os.e
     else:
         url = str(Path(given).expanduser().absolute())
     root = environ.get("HALMA_ARTIFACTS")
-    artifacts = Path(root).expanduser().absolute() if root else _artifacts_of(url, home)
+    if not root:
+        artifacts = str(_artifacts_of(url, home))
+    elif "://" in root:
+        artifacts = root
+    else:
+        artifacts = str(Path(root).expanduser().absolute())
     return Settings(home, url, artifacts)
 
 

@@ -184,8 +184,7 @@ def _positive_budget(training: Mapping[str, Any]) -> None:
     budget = training.get("budget")
     figures = budget if isinstance(budget, Mapping) else {"": budget}
     for name, figure in figures.items():
-        is_number = isinstance(figure, int | float) and not isinstance(figure, bool)
-        if is_number and not figure > 0:
+        if isinstance(figure, int | float) and not isinstance(figure, bool) and figure <= 0:
             field = f"budget.{name}" if name else "budget"
             raise wrong(field, f"expected a number above 0, found {as_written(figure)}")
 

@@ -19,7 +19,9 @@ from services.store.port import Store
 
 Db = Annotated[
     str | None,
-    typer.Option("--db", metavar="DB", help="Trial database: a SQLite file or a URL.  [default: HALMA_DB, else ~/.halma]"),
+    typer.Option(
+        "--db", metavar="DB", help="Trial database: a SQLite file or a URL.  [default: HALMA_DB, else ~/.halma]"
+    ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
@@ -45,6 +47,12 @@ def print_json(value: Any) -> None:
     sys.stdout.write(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
+def print_json_line(value: Any) -> None:
+    """JSON on one line, at once: for programs that follow along."""
+    sys.stdout.write(json.dumps(value, ensure_ascii=False, allow_nan=False) + "\n")
+    sys.stdout.flush()
+
+
 @dataclass(frozen=True, slots=True)
 class Session:
     """An opened trial database with its artifacts."""
@@ -64,6 +72,6 @@ def session(db: str | None) -> Iterator[Session]:
     settings = find_settings(db)
     store = open_store(settings.database)
     try:
-        yield Session(settings, store, open_artifacts(str(settings.artifacts)))
+        yield Session(settings, store, open_artifacts(settings.artifacts))
     finally:
         store.close()

@@ -9,10 +9,11 @@ import typer
 
 from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
-from services.cli.session import AsJson, Db, Session, console, print_json, say, session
+from services.cli.session import AsJson, Db, Session, console, print_json, print_json_line, say, session
 from services.cli.tables import done_of, fields_table, state_text, studies_table, trials_table
 from services.cli.words import count, duration, several, value_of
-from services.errors import BadInput, WrongState
+from services.driver import this_process
+from services.errors import BadInput, Refused, StudyDriven, WrongState
 from services.listings import event_json, study_json, trial_json
 from services.report import behaviour_of, distinct_trials, units_of
 from services.states import LIVE_STUDY, OBSERVED_TRIAL, StudyState, TrialState
@@ -69,8 +70,8 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         "cost": f"{count(row.samples)} samples, {duration(row.seconds)} of training",
         "driven by": f"process {row.driver.pid} on {row.driver.host}" if row.driver else None,
         "seed": str(row.seed),
-        "created": row.created_at.strftime("%Y-%m-%d %H:%M:%S"),
-        "finished": row.finished_at.strftime("%Y-%m-%d %H:%M:%S") if row.finished_at else None,
+        "created": row.created_at.astimezone().strftime("%Y-%m-%d %H:%M:%S"),
+        "finished": row.finished_at.astimezone().strftime("%Y-%m-%d %H:%M:%S") if row.finished_at else None,
     }
     console().print(fields_table({name: value for name, value in fields.items() if value is not None}))
     say()
@@ -127,7 +128,7 @@ def watch(
                 cursor = batch[-1].id
                 for event in batch:
                     if as_json:
-                        _print_json_line(event_json(event))
+                        print_json_line(event_json(event))
                     elif line := event_line(event):
                         say(line)
             if row.state not in LIVE_STUDY:
@@ -165,9 +166,6 @@ def _ask(name: str, wanted: str, db: str | None, *, as_json: bool, driven: str) 
 
 def _let_go(opened: Session, row: StudyRow) -> None:
     """Release a study from a driver that is dead, so that a request takes effect at once."""
-    from services.driver import this_process  # noqa: PLC0415 - with its reader
-    from services.errors import Refused, StudyDriven
-
     try:
         with opened.store.transaction() as change:
             token = change.drive(row.name, this_process(), take_over_from=row.drive_token)
@@ -185,7 +183,9 @@ def extend(
 ) -> None:
     """Raise the budget of a study. `halma resume` then spends it."""
     if not trials and not cost:
-        raise BadInput(f"extend: expected --trials N or --cost N, found neither; for example halma extend {name} --trials 10")
+        raise BadInput(
+            f"extend: expected --trials N or --cost N, found neither; for example halma extend {name} --trials 10"
+        )
     with session(db) as opened:
         with opened.store.transaction() as change:
             row = change.extend(name, trials=trials, cost=cost)
@@ -216,11 +216,3 @@ def resume(
                 f"look at it with `halma show {name}`, or give it more with `halma extend {name} --trials 10`"
             )
         drive_here(opened, name, inline=inline, take_over=take_over)
-
-
-def _print_json_line(value: object) -> None:
-    import json  # noqa: PLC0415 - one line a value, unlike `print_json`
-    import sys
-
-    sys.stdout.write(json.dumps(value, ensure_ascii=False) + "\n")
-    sys.stdout.flush()

@@ -64,7 +64,7 @@ def studies_table(rows: Iterable[StudyRow]) -> Table:
             value_of(row.best_value),
             count(row.samples),
             duration(row.seconds),
-            row.created_at.strftime("%Y-%m-%d %H:%M"),
+            row.created_at.astimezone().strftime("%Y-%m-%d %H:%M"),
             Text(first_line(row.reason, 60)),
         )
     return table
