@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from workers.registry import load_task
-
 from search import BadSetting as BadStrategySetting
 from search import SearchError, UnknownStrategy
 from search.registry import strategy_class
@@ -15,6 +13,7 @@ from services.spec import ResolvedSpec, StudySpec
 from services.spec_file import BadStudy, Draft, Problem, draft, read_draft
 from services.translate import make_strategy_of, resolve
 from workers.contracts import BadJob, BadSetting, Task, TaskInfo
+from workers.registry import load_task
 
 Problems = list[Problem]
 
