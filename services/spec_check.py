@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from workers.registry import load_task
-
 from search import BadSetting as BadStrategySetting
 from search import SearchError, UnknownStrategy
 from search.registry import strategy_class
@@ -15,6 +13,8 @@ from services.spec import ResolvedSpec, StudySpec
 from services.spec_file import BadStudy, Draft, Problem, draft, read_draft
 from services.translate import make_strategy_of, resolve
 from workers.contracts import BadJob, BadSetting, Task, TaskInfo
+from workers.registry import load_task
+from workers.user_code import UnknownTask
 
 Problems = list[Problem]
 
@@ -73,6 +73,9 @@ def _find_task(read: Draft, problems: Problems) -> tuple[Task | None, TaskInfo |
         return found, found.info(settings if isinstance(settings, dict) else {})
     except BadSetting as error:
         problems.append(read.source.problem(_place(error), error.message))
+    except UnknownTask as error:
+        why = str(error).removeprefix(f"task {choice['name']!r}: ")
+        problems.append(read.source.problem(place, f"expected a task, found {choice['name']}: {why}"))
     except BadJob as error:
         problems.append(read.source.problem(place, str(error)))
     return None, None
