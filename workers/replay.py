@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.contracts import JSON, BadJob
-from workers.physics.athlete import JOINTS
+from workers.physics.athlete import COORDINATES, JOINTS
 from workers.physics.world import FRAME, WALL_HALF_THICKNESS, Contacts, World
 
 FORMAT = "halma-replay"
@@ -48,13 +48,13 @@ class Replay:
     """A recorded jump.
 
     `header` holds `format`, `version`, `frames`, `frame_seconds`, `bodies` (names), `joints` (names), `shapes` (of the
-    bodies, see `World.body_shapes`), `mass` (kg), `bar`, `mat_height`, `wall_half_thickness` (m), `foot` (name of the
+    bodies, see `World.body_shapes`), `masses` (of the bodies, kg), `bar`, `mat_height`, `wall_half_thickness` (m), `foot` (name of the
     take-off foot), whatever the task adds under `task`, and `arrays` (name, shape, offset of each).
 
     `arrays`, float32, world frame (x through the bar, y up):
 
     - `position` (m) and `orientation` (x y z w) of each body's centre of mass ``[frame, 13, 3 | 4]``
-    - `pose` and `rates` of the joints ``[frame, 28]`` (rad, rad/s), `torque` at the end of the frame ``[frame, 28]`` (N m)
+    - `pose` and `rates` of the joints ``[frame, 28]`` (rad, rad/s), `torque` at its start ``[frame, 28]`` (N m)
     - `com`, `com_velocity`: of the whole body ``[frame, 3]`` (m, m/s)
     - `ground_force`, `ground_peak`: normal force of the ground, mean and peak of the frame ``[frame]`` (N)
     - `penetration`, `overlap`: deepest overlap with the surroundings, and of the body with itself ``[frame]`` (m)
@@ -132,7 +132,7 @@ class Recorder:
             "bodies": list(world.athlete.names),
             "joints": [joint.name for joint in JOINTS],
             "shapes": world.body_shapes(),
-            "mass": float(world.athlete.mass.sum()),
+            "masses": world.athlete.mass.tolist(),
             "bar": world.bar,
             "mat_height": world.mat_height,
             "wall_half_thickness": WALL_HALF_THICKNESS,
@@ -149,7 +149,7 @@ class Recorder:
             "orientation": links[:, 3:7],
             "pose": pose,
             "rates": rates,
-            "torque": athlete.torques(),
+            "torque": np.zeros(COORDINATES) if contacts.torque is None else contacts.torque,
             "com": athlete.centre_of_mass(links),
             "com_velocity": athlete.centre_of_mass(links[:, 7:10]),
             "ground_force": contacts.ground_force,

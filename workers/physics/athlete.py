@@ -53,15 +53,15 @@ class Joint:
 JOINTS: tuple[Joint, ...] = (
     Joint("chest", 1000.0, 200.0, (-0.7, -0.9, -1.2), (0.7, 0.9, 0.8), 20.0),
     Joint("neck", 100.0, 50.0, (-0.8, -1.3, -1.1), (0.8, 1.3, 1.1), 25.0),
-    Joint("right_hip", 500.0, 400.0, (-1.2, -1.0, -0.9), (0.6, 1.0, 2.4), 25.0),
-    Joint("right_ankle", 400.0, 300.0, (-0.6, -0.7, -1.0), (0.6, 0.7, 0.7), 30.0),
+    Joint("right_hip", 500.0, 200.0, (-1.2, -1.0, -0.9), (0.6, 1.0, 2.4), 25.0),
+    Joint("right_ankle", 400.0, 150.0, (-0.6, -0.7, -1.0), (0.6, 0.7, 0.7), 30.0),
     Joint("right_shoulder", 400.0, 100.0, (-2.8, -1.7, -1.3), (1.2, 1.7, 3.1), 40.0),
-    Joint("left_hip", 500.0, 400.0, (-0.6, -1.0, -0.9), (1.2, 1.0, 2.4), 25.0),
-    Joint("left_ankle", 400.0, 300.0, (-0.6, -0.7, -1.0), (0.6, 0.7, 0.7), 30.0),
+    Joint("left_hip", 500.0, 200.0, (-0.6, -1.0, -0.9), (1.2, 1.0, 2.4), 25.0),
+    Joint("left_ankle", 400.0, 150.0, (-0.6, -0.7, -1.0), (0.6, 0.7, 0.7), 30.0),
     Joint("left_shoulder", 400.0, 100.0, (-1.2, -1.7, -1.3), (2.8, 1.7, 3.1), 40.0),
-    Joint("right_knee", 500.0, 400.0, (-2.6,), (0.0,), 35.0),
+    Joint("right_knee", 500.0, 200.0, (-2.6,), (0.0,), 35.0),
     Joint("right_elbow", 300.0, 60.0, (0.0,), (2.7,), 45.0),
-    Joint("left_knee", 500.0, 400.0, (-2.6,), (0.0,), 35.0),
+    Joint("left_knee", 500.0, 200.0, (-2.6,), (0.0,), 35.0),
     Joint("left_elbow", 300.0, 60.0, (0.0,), (2.7,), 45.0),
 )
 SPHERICAL: tuple[str, ...] = tuple(joint.name for joint in JOINTS if len(joint.low) == 3)
@@ -73,6 +73,7 @@ COORDINATE_JOINT: tuple[int, ...] = tuple(i for i, joint in enumerate(JOINTS) fo
 LOW: Array = np.array([value for joint in JOINTS for value in joint.low])
 HIGH: Array = np.array([value for joint in JOINTS for value in joint.high])
 TORQUE: Array = np.array([JOINTS[i].torque for i in COORDINATE_JOINT])
+STIFFNESS: Array = np.array([JOINTS[i].stiffness for i in COORDINATE_JOINT])
 RATE: Array = np.array([JOINTS[i].rate for i in COORDINATE_JOINT])
 
 DAMPING_RATIO = 0.1
@@ -103,6 +104,7 @@ class Athlete:
         """Bodies in the order of `links`."""
         self._links = list(range(count))
         self._joints = [self.link[joint.name] for joint in JOINTS]
+        self._slots = self._coordinate_slots()
         self.mass: Array = np.array([bullet.getDynamicsInfo(self.body, j, **self._k)[0] for j in range(-1, count)])
         """Mass of each body ``[13]``, kg."""
         self._share = self.mass / self.mass.sum()
@@ -134,6 +136,14 @@ class Athlete:
                 force=[0, 0, 0],
                 **self._k,
             )
+
+    def _coordinate_slots(self) -> list[int]:
+        """For each coordinate of a pose, its index in Bullet's generalised velocities of the whole body."""
+        start, at = {}, 7
+        for name in self.link:
+            start[name] = at
+            at += 4 if name in SPHERICAL else 1
+        return [start[joint.name] + axis for joint in JOINTS for axis in range(len(joint.low))]
 
     def place(self, position: Iterable[float], orientation: Iterable[float]) -> None:
         """Put the root somewhere ``[3]`` (m) and turn it ``[4]``; joints stay as they are."""
@@ -213,6 +223,44 @@ class Athlete:
             forces=self._forces,
             **self._k,
         )
+
+    def torques(self, dt: float) -> Array:
+        """Muscle torques ``[28]`` (N m) that Bullet applies in its next step of `dt` seconds, after `actuate`.
+
+        Bullet keeps them to itself, so this is stable PD control once more, in numpy and slow (Tan, Liu and Turk 2011,
+        equations 3 and 4): for recordings. A test holds it against Bullet's.
+        """
+        states = bullet.getJointStatesMultiDof(self.body, self._links, **self._k)
+        position, orientation = bullet.getBasePositionAndOrientation(self.body, **self._k)
+        velocity, angular = bullet.getBaseVelocity(self.body, **self._k)
+        # Bullet lays out quaternions and the rates beside them in four slots each, the last rate being 0
+        q = [*position, *orientation, *(x for s in states for x in s[0])]
+        qd = [*velocity, *angular, 0.0]
+        for s in states:
+            qd += [*s[1], 0.0] if len(s[1]) == 3 else s[1]
+        M = np.array(bullet.calculateMassMatrix(self.body, q, flags=1, **self._k))
+        C = np.array(bullet.calculateInverseDynamics(self.body, q, qd, [0.0] * len(qd), flags=1, **self._k))
+        M[np.diag_indices_from(M)] += np.abs(M).sum(1) == 0
+        kp, kd = STIFFNESS, STIFFNESS * DAMPING_RATIO
+        rates = np.array(qd)[self._slots]
+        error = kp * self._error_after(dt) - kd * rates
+        force = -C
+        force[self._slots] += error
+        M[self._slots, self._slots] += kd * dt
+        acceleration = np.linalg.solve(M, force)[self._slots]
+        return np.clip(error - kd * dt * acceleration, -TORQUE, TORQUE)
+
+    def _error_after(self, dt: float) -> Array:
+        """What the joints lack to their targets ``[28]`` after `dt` seconds at their present rates, rad."""
+        pose, rates = self.pose()
+        turn = dt * rates[:_TURNED].reshape(-1, 3)
+        then = rotations.multiply(
+            rotations.from_rotation_vector(pose[:_TURNED].reshape(-1, 3)), rotations.from_rotation_vector(turn)
+        )
+        aims = np.array(self._limited[: len(SPHERICAL)])
+        turned = rotations.to_rotation_vector(rotations.multiply(rotations.conjugate(then), aims))
+        hinges = np.array([a[0] for a in self._limited[len(SPHERICAL) :]])
+        return np.concatenate([turned.ravel(), hinges - (pose[_TURNED:] + dt * rates[_TURNED:])])
 
     def _within_ranges(self) -> list[list[float]]:
         """Targets with the penalty of the joints that are beyond their range. Plain Python: numpy takes six times as long."""

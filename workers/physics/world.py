@@ -53,6 +53,7 @@ class Contacts:
         ground_peak: largest of its substeps, N.
         penetration: deepest overlap of a body with ground, wall or mat, m.
         overlap: deepest overlap of two bodies of the athlete, m.
+        torque: of the muscles at the start of the frame ``[28]``, N m; only where the world measures it.
     """
 
     ground: set[int] = field(default_factory=set)
@@ -62,6 +63,7 @@ class Contacts:
     ground_peak: float = 0.0
     penetration: float = 0.0
     overlap: float = 0.0
+    torque: Array | None = None
 
 
 @contextlib.contextmanager
@@ -86,12 +88,14 @@ class World:
 
     Args:
         mat_height: thickness of the mat, m.
+        measure_torque: whether `advance` tells the muscles' torques, which takes longer than the frame itself.
     """
 
     athlete: Athlete
 
-    def __init__(self, mat_height: float = 0.3) -> None:
+    def __init__(self, mat_height: float = 0.3, *, measure_torque: bool = False) -> None:
         self.mat_height = mat_height
+        self.measure_torque = measure_torque
         self._client = -1
         self.rebuild()
 
@@ -163,12 +167,16 @@ class World:
                 self._set_stride(1)
             for substep in range(SUBSTEPS):
                 self.athlete.actuate(watch_limits=substep == 0)
+                if substep == 0 and self.measure_torque:
+                    seen.torque = self.athlete.torques(SUBSTEP)
                 bullet.stepSimulation(**self._k)
                 self._look(seen, SUBSTEP, 1 / SUBSTEPS)
         else:
             if self._stride != SUBSTEPS:
                 self._set_stride(SUBSTEPS)
             self.athlete.actuate(watch_limits=True)
+            if self.measure_torque:
+                seen.torque = self.athlete.torques(FRAME)
             bullet.stepSimulation(**self._k)
             self._look(seen, FRAME, 1.0)
         return seen

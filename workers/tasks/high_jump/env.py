@@ -38,7 +38,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
     ) -> None:
         self.state = state
         self.recorder = recorder
-        self.world = World(mat_height)
+        self.world = World(mat_height, measure_torque=recorder is not None)
         self._unused = True
         self._frames = round(1 / (control_rate * FRAME))
         self._reference = takeoff.push_off_pose()
