@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.contracts import JSON
-from workers.physics.athlete import HIGH, LOW, RATE, TORQUE
+from workers.physics import rotations
+from workers.physics.athlete import HIGH, LOW, RATE, SPHERICAL, TORQUE
 from workers.physics.rotations import Array
 from workers.physics.world import GRAVITY
 from workers.replay import Replay
@@ -26,6 +27,8 @@ ANGLE = 0.35
 """rad that a joint may be beyond its range: the penalty is a spring, and flexible people differ by as much."""
 RATE_FACTOR = 1.0
 """Largest rate of a joint over what a human reaches."""
+RATE_FRAMES = 4
+"""Frames (1/30 s) that a rate is measured over: human rates come from motion capture, filtered at about 15 Hz."""
 TORQUE_FACTOR = 1.001
 """Largest torque over the muscle's limit; float32 rounds."""
 PENETRATION = 0.02
@@ -102,13 +105,16 @@ def audit(replay: Replay) -> Audit:
     end = int(on_mat[0]) if len(on_mat) else replay.frames
     jump = {name: array[:end].astype(np.float64) for name, array in replay.arrays.items()}
     masses = np.array(replay.header["masses"])
+    period = float(replay.header["frame_seconds"])
     weight = masses.sum() * GRAVITY
     beyond = np.maximum(jump["pose"] - HIGH, LOW - jump["pose"])
     return Audit(
         (
-            Check("ballistic_flight", flight_error(jump, masses, float(replay.header["frame_seconds"])), BALLISTIC, "m"),
+            Check("ballistic_flight", flight_error(jump, masses, period), BALLISTIC, "m"),
             Check("joint_angle", _largest(beyond), ANGLE, "rad beyond range"),
-            Check("joint_rate", _largest(np.abs(jump["rates"]) / RATE), RATE_FACTOR, "of the human maximum"),
+            Check(
+                "joint_rate", _largest(joint_rates(jump["pose"], period) / RATE), RATE_FACTOR, "of the human maximum"
+            ),
             Check("torque", _largest(np.abs(jump["torque"]) / TORQUE), TORQUE_FACTOR, "of the limit"),
             Check("penetration", _largest(jump["penetration"]), PENETRATION, "m"),
             Check("self_intersection", _largest(jump["overlap"]), OVERLAP, "m"),
@@ -140,6 +146,22 @@ def flight_error(jump: dict[str, Array], masses: Array, period: float) -> float:
     basis = np.stack([np.ones_like(t), t], 1)
     straight = basis @ np.linalg.lstsq(basis, level, rcond=None)[0]
     return float(np.linalg.norm(level - straight, axis=1).max())
+
+
+def joint_rates(pose: Array, period: float) -> Array:
+    """Mean magnitudes of the joints' rates over `RATE_FRAMES` ``[frame - RATE_FRAMES, 28]``, rad/s.
+
+    From the recorded poses ``[frame, 28]`` rather than the recorded rates, which a blow changes for one frame.
+    """
+    if len(pose) <= RATE_FRAMES:
+        return np.zeros((0, pose.shape[1]))
+    turned = 3 * len(SPHERICAL)
+    quaternions = rotations.from_rotation_vector(pose[:, :turned].reshape(len(pose), -1, 3))
+    turns = rotations.multiply(rotations.conjugate(quaternions[:-RATE_FRAMES]), quaternions[RATE_FRAMES:])
+    angles = rotations.to_rotation_vector(turns).reshape(len(turns), -1)
+    hinges = pose[RATE_FRAMES:, turned:] - pose[:-RATE_FRAMES, turned:]
+    rates: Array = np.abs(np.concatenate([angles, hinges], 1)) / (RATE_FRAMES * period)
+    return rates
 
 
 def _largest(values: NDArray[np.float64]) -> float:

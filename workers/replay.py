@@ -48,8 +48,8 @@ class Replay:
     """A recorded jump.
 
     `header` holds `format`, `version`, `frames`, `frame_seconds`, `bodies` (names), `joints` (names), `shapes` (of the
-    bodies, see `World.body_shapes`), `masses` (of the bodies, kg), `bar`, `mat_height`, `wall_half_thickness` (m), `foot` (name of the
-    take-off foot), whatever the task adds under `task`, and `arrays` (name, shape, offset of each).
+    bodies, see `World.body_shapes`), `masses` (of the bodies, kg), `bar`, `mat_height`, `wall_half_thickness` (m),
+    `foot` (name of the take-off foot), and whatever the task adds under `task`.
 
     `arrays`, float32, world frame (x through the bar, y up):
 

@@ -6,8 +6,8 @@ the joint velocities (rad/s) in the same order. The body's forward axis is x, up
 -y, so that a positive rotation about z lifts them forward.
 
 Stable PD control (Tan, Liu and Turk 2011) is Bullet's own, at gains and torque limits of the human body. A joint beyond
-its range is driven back by a penalty torque (Yin et al. 2021, section 5.1): its target is moved inside the range, and as
-far beyond the limit as the joint itself is, so that the stiffness of the limit is twice that of the joint.
+its range is driven back by a penalty torque, as in the published jumping system: its target is moved inside the range,
+as far from the limit as the joint itself is beyond it, so that the limit is twice as stiff as the joint.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ class Joint:
     rate: float
 
 
-# Stiffness and torque limits are DeepMimic's (Peng et al. 2018), but for hips, knees and ankles, whose torques are
-# raised to 400, 400 and 300 N m: an everyday athlete does not take off from one leg. Ranges are those of a flexible
-# person, in rotation vectors; rates what the fastest kicks and throws reach, for no joint of a jumper should do more.
+# Stiffness and torque limits are DeepMimic's (Peng et al. 2018), but for knees and ankles, whose 150 and 90 N m are
+# raised to 200 and 150: taking off from one leg is no everyday motion. With twice that the foot pushes with 9 body
+# weights. Ranges are those of a flexible person, in rotation vectors; rates what the fastest kicks and throws reach.
 JOINTS: tuple[Joint, ...] = (
     Joint("chest", 1000.0, 200.0, (-0.7, -0.9, -1.2), (0.7, 0.9, 0.8), 20.0),
     Joint("neck", 100.0, 50.0, (-0.8, -1.3, -1.1), (0.8, 1.3, 1.1), 25.0),
@@ -248,7 +248,7 @@ class Athlete:
         force[self._slots] += error
         M[self._slots, self._slots] += kd * dt
         acceleration = np.linalg.solve(M, force)[self._slots]
-        return np.clip(error - kd * dt * acceleration, -TORQUE, TORQUE)
+        return np.asarray(np.clip(error - kd * dt * acceleration, -TORQUE, TORQUE))
 
     def _error_after(self, dt: float) -> Array:
         """What the joints lack to their targets ``[28]`` after `dt` seconds at their present rates, rad."""
@@ -263,7 +263,10 @@ class Athlete:
         return np.concatenate([turned.ravel(), hinges - (pose[_TURNED:] + dt * rates[_TURNED:])])
 
     def _within_ranges(self) -> list[list[float]]:
-        """Targets with the penalty of the joints that are beyond their range. Plain Python: numpy takes six times as long."""
+        """Targets with the penalty of the joints that are beyond their range.
+
+        Plain Python, since numpy's overhead on so few numbers is several times the arithmetic.
+        """
         limited = list(self._command)
         states = bullet.getJointStatesMultiDof(self.body, self._joints, **self._k)
         for i, (low, high) in enumerate(self._ranges):

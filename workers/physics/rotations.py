@@ -20,7 +20,7 @@ def multiply(a: NDArray[Any], b: NDArray[Any]) -> Array:
     """Quaternion product ``[..., 4]``: first `b`, then `a`."""
     ax, ay, az, aw = np.moveaxis(np.asarray(a, np.float64), -1, 0)
     bx, by, bz, bw = np.moveaxis(np.asarray(b, np.float64), -1, 0)
-    return np.stack(
+    product: Array = np.stack(
         [
             aw * bx + ax * bw + ay * bz - az * by,
             aw * by - ax * bz + ay * bw + az * bx,
@@ -29,11 +29,13 @@ def multiply(a: NDArray[Any], b: NDArray[Any]) -> Array:
         ],
         -1,
     )
+    return product
 
 
 def conjugate(q: NDArray[Any]) -> Array:
     """The opposite rotation ``[..., 4]``."""
-    return np.asarray(q, np.float64) * np.array([-1.0, -1.0, -1.0, 1.0])
+    opposite: Array = np.asarray(q, np.float64) * np.array([-1.0, -1.0, -1.0, 1.0])
+    return opposite
 
 
 def from_rotation_vector(e: NDArray[Any]) -> Array:
@@ -51,14 +53,16 @@ def to_rotation_vector(q: NDArray[Any]) -> Array:
     length = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
     small = length < 1e-8
     factor = np.where(small, 2.0, 2 * np.arctan2(length, q[..., 3:]) / np.where(small, 1.0, length))
-    return q[..., :3] * factor
+    vector: Array = q[..., :3] * factor
+    return vector
 
 
 def rotate(q: NDArray[Any], v: NDArray[Any]) -> Array:
     """Vectors ``[..., 3]`` turned by quaternions ``[..., 4]``."""
     q, v = np.asarray(q, np.float64), np.asarray(v, np.float64)
     u = q[..., :3]
-    return v + 2 * np.cross(u, np.cross(u, v) + q[..., 3:] * v)
+    turned: Array = v + 2 * np.cross(u, np.cross(u, v) + q[..., 3:] * v)
+    return turned
 
 
 def angle_between(a: NDArray[Any], b: NDArray[Any]) -> Array:

@@ -67,7 +67,7 @@ class Contacts:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Bullet prints from C while it loads: send file descriptor 1 elsewhere for so long."""
     sys.stdout.flush()
     kept = os.dup(1)
@@ -102,7 +102,7 @@ class World:
     def rebuild(self) -> None:
         """Begin again as newly constructed, bit for bit."""
         self.close()
-        with _quiet():
+        with quiet():
             self._client = bullet.connect(bullet.DIRECT)
             self._k = {"physicsClientId": self._client}
             bullet.setGravity(0, -GRAVITY, 0, **self._k)

@@ -24,7 +24,10 @@ FEATURES: dict[FeatureName, FeatureSpec] = {
 
 
 def facing(orientation: Array) -> float:
-    """Angle in [0, pi] between the root's forward axis and world up: 0 face up, pi/2 upright or sideways, pi face down."""
+    """Angle in [0, pi] between the root's forward axis and world up.
+
+    0 is face up, pi/2 upright or sideways, pi face down.
+    """
     forward = rotations.rotate(orientation, np.array([1.0, 0.0, 0.0]))
     return float(np.arccos(np.clip(forward[1], -1.0, 1.0)))
 

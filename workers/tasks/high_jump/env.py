@@ -14,6 +14,10 @@ from workers.replay import Recorder
 from workers.tasks.high_jump import rules, takeoff
 from workers.tasks.high_jump.takeoff import TakeOff
 
+_ACTIVATION_FRAMES = 3
+"""Frames (25 ms) in which a new target takes over from the old one. Muscles take as long to become active, and torques
+that jump let the foot strike the ground with more than 6 body weights."""
+
 
 class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
     """One athlete before one bar.
@@ -22,7 +26,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
     relative to the root (m), orientation (quaternion), velocity (m/s) and angular velocity (rad/s), all in the world
     frame, whose plane x = 0 is the bar's.
 
-    Action ``[28]``, unbounded: offset of the target pose from the push-off pose, rad.
+    Action ``[28]``, unbounded: offset of the target pose from the push-off pose, rad. The target moves there in 25 ms.
 
     Args:
         state: the take-off state.
@@ -67,6 +71,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         self.world.settle()
         if self.state.formulation == "support":
             self.world.stand()
+        self._target = self._start.pose
         self._elapsed = 0
         self._spin = 0.0
         self._offset = 0.0
@@ -76,16 +81,17 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             self.recorder.add(self.world, Contacts())
         return self._observation(), {}
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float64], float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float64], float, bool, bool, dict[str, Any]]:
         """Pull towards the push-off pose plus `action` for one control interval, or until the jump is decided."""
         offset = np.asarray(action, np.float64)
-        self.world.athlete.command(self._reference + offset)
+        before, target = self._target, self._reference + offset
+        self._target = target
         self._offset += float(np.abs(offset).sum())
         self._actions += 1
         verdict = None
-        for _ in range(self._frames):
+        for frame in range(1, self._frames + 1):
+            if frame <= _ACTIVATION_FRAMES:
+                self.world.athlete.command(before + (target - before) * (frame / _ACTIVATION_FRAMES))
             contacts = self.world.advance()
             self._elapsed += 1
             self._spin += self.world.athlete.spin()

@@ -97,8 +97,9 @@ class StartState:
     rates: Array
 
 
-def take_off(params: Mapping[str, Scalar], *, forward: float, rise: float, time_to_bar: float,
-             formulation: Formulation) -> TakeOff:
+def take_off(
+    params: Mapping[str, Scalar], *, forward: float, rise: float, time_to_bar: float, formulation: Formulation
+) -> TakeOff:
     """The take-off state of a candidate; parameters that it lacks are at the middle of their range."""
     values = {
         name: float(params.get(name, (float(spec.low or 0) + float(spec.high or 0)) / 2))
@@ -168,8 +169,7 @@ def push_off_pose() -> Array:
     A reference for the PD controllers, not a pose to be reached: hip and knee aim beyond their ranges, which makes
     them push. Without it a random policy hardly ever leaves the ground.
     """
-    clip = clips.load(_CLIP)
-    pose = clip.pose[_MID_SUPPORT_FRAME].copy()
+    pose: Array = clips.load(_CLIP).pose[_MID_SUPPORT_FRAME].copy()
     aims = {
         "right_hip": -1.2, "right_ankle": -0.5, "left_hip": 1.2,
         "chest": 0.1, "right_shoulder": 0.5, "left_shoulder": 0.5,
@@ -202,9 +202,7 @@ def _rest_the_foot(world: World, pose: Array, rates: Array) -> Array:
     rest = foot_velocity(np.zeros(len(stance)))
     columns = np.stack([foot_velocity(row) - rest for row in np.eye(len(stance))], 1)
     ridge = 0.01 * np.eye(len(stance))
-    values = np.linalg.lstsq(
-        np.vstack([columns, ridge]), np.concatenate([-rest, np.zeros(len(stance))]), rcond=None
-    )[0]
-    resting = rates.copy()
+    values = np.linalg.lstsq(np.vstack([columns, ridge]), np.concatenate([-rest, np.zeros(len(stance))]), rcond=None)[0]
+    resting: Array = rates.copy()
     resting[stance] = np.clip(values, -_RATE_BOUND, _RATE_BOUND)
     return resting
