@@ -40,7 +40,7 @@ def running_server(*settings: str) -> Iterator[Server]:
         server.start()
         yield server
     finally:
-        server.stop()
+        server.stop(signal.SIGQUIT)  # at once, writing nothing more of what is deleted next
         shutil.rmtree(folder)
 
 
@@ -82,10 +82,10 @@ class Server:
                 return
         raise AssertionError((self.folder / "log").read_text())
 
-    def stop(self) -> None:
+    def stop(self, how: signal.Signals = signal.SIGINT) -> None:
         """Stop it, ending its connections."""
         if self._process is not None:
-            self._process.send_signal(signal.SIGINT)
+            self._process.send_signal(how)
             self._process.wait(timeout=30)
             self._process = None
 
