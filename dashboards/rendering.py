@@ -60,7 +60,9 @@ def environment() -> Environment:
 
 def page(request: Request, template: str, status: int = 200, **values: Any) -> HTMLResponse:
     """A rendered page. Called from plain functions, so that rendering never holds the event loop."""
-    html = environment().get_template(template).render(
-        path=request.url.path, missing_libraries=request.app.state.missing_libraries, **values
+    html = (
+        environment()
+        .get_template(template)
+        .render(path=request.url.path, missing_libraries=request.app.state.missing_libraries, **values)
     )
     return HTMLResponse(html, status)

@@ -148,10 +148,10 @@ class CoordinatorActor:
 
 def start_coordinator(database: str, artifact_root: str, directory: str, pools: Mapping[str, int]) -> Actor:
     """A coordinator actor (see `CoordinatorActor`), not driving anything yet."""
+    remote: Any = ray.remote  # its overloads don't know of concurrency groups
     # `mail` has one thread, so that messages of one worker can't overtake each other.
-    options = {"num_cpus": 0, "max_restarts": 0, "concurrency_groups": {"mail": 1, "control": 2}}
-    shaped: Actor = ray.remote(**options)
-    return shaped(CoordinatorActor).remote(database, artifact_root, directory, dict(pools))
+    actor = remote(num_cpus=0, max_restarts=0, concurrency_groups={"mail": 1, "control": 2})(CoordinatorActor)
+    return actor.remote(database, artifact_root, directory, dict(pools))
 
 
 def start_ray(pools: Mapping[str, int], address: str | None = None) -> None:

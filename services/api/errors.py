@@ -18,7 +18,6 @@ from services.errors import (
     HalmaError,
     NameTaken,
     Refused,
-    StoreUnavailable,
     StudyDriven,
     UnknownStudy,
     UnknownTrial,
@@ -33,7 +32,6 @@ STATUS: Mapping[type[HalmaError], int] = {
     WrongState: 409,
     Refused: 409,
     DatabaseUnavailable: 503,
-    StoreUnavailable: 503,
     ArtifactDamaged: 410,
     BadInput: 422,
 }
