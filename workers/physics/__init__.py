@@ -1,0 +1,1 @@
+"""How does the athlete move? Rotations, the humanoid, its world, and pictures of it; nothing of tasks or learning."""
