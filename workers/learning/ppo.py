@@ -298,7 +298,7 @@ class Learner:
 
 @dataclass(slots=True)
 class Progress:
-    """The counters of a training. `length` is the mean length of the last iteration's episodes, 0 before."""
+    """The counters of a training. `length` is the mean length of the last episodes, 0 before any."""
 
     iteration: int = 0
     samples: int = 0
@@ -413,9 +413,11 @@ class _Training:
         iteration, level = progress.iteration + 1, self.level
         if learner.normaliser.count == 0:
             # Actions sampled under other statistics would be off the policy: the first ones only give statistics.
-            self.watch(learner.rollout(self.envs, self.job, iteration, sampling=0, level=level))
+            warm_up = learner.rollout(self.envs, self.job, iteration, sampling=0, level=level)
+            self.watch(warm_up)
+            progress.length = float(np.mean([len(e) for e in warm_up]))
         # Environments that all begin an episode at once all finish it: no more of them than the iteration has room for.
-        room = ppo.environments if progress.length == 0 else max(1, round(ppo.samples / progress.length))
+        room = max(1, round(ppo.samples / progress.length)) if progress.length else ppo.environments
         episodes = learner.rollout(self.envs[:room], self.job, iteration, sampling=iteration, level=level)
         batch = learner.batch(episodes)
         learnt = learner.update(batch, iteration, stream(self.job, "minibatches", iteration))

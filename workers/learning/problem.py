@@ -19,12 +19,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
-
-import gymnasium
+from typing import TYPE_CHECKING, Any, Protocol
 
 from workers.contracts import JSON, BadJob, Cost, WorkerError
 from workers.learning.policy import Policy
+
+if TYPE_CHECKING:
+    import gymnasium  # for the annotations alone: whoever only wants `Diverged` need not wait for it
 
 
 class Curriculum(Protocol):

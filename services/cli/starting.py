@@ -1,0 +1,95 @@
+"""Commands that start studies: run, submit, and the service itself."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from services.admission import admit, find, refuse_changes
+from services.cli.driving import drive_here
+from services.cli.findings import report
+from services.cli.session import AsJson, Db, print_json, say, session
+from services.client import Client
+from services.errors import BadInput, NameTaken
+from services.settings import find_settings
+from services.spec_check import check
+from services.spec_file import BadStudy, read_draft
+from services.states import StudyState
+
+File = Annotated[Path, typer.Argument(metavar="FILE", help="Study file (YAML); `halma schema` describes it.")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="FIELD=VALUE", help="Override a field, e.g. search.trials=4.")
+]
+NewName = Annotated[str | None, typer.Option("--name", help="Name of the study, instead of the one in the file.")]
+
+
+def run(
+    file: File,
+    overrides: Overrides = None,
+    name: NewName = None,
+    inline: Annotated[bool, typer.Option("--inline", help="Run trials in this process, without Ray.")] = False,
+    cores: Annotated[int | None, typer.Option("--cores", min=1, help="Cores to use; default: all.")] = None,
+    db: Db = None,
+) -> None:
+    """Run a study here: start it, resume it where it was interrupted, or show it where it is finished."""
+    read = read_draft(file, _with_name(overrides, name))
+    spec = check(read)
+    with session(db) as opened:
+        row = find(opened.store, spec.name)
+        if row is None:
+            admit(opened.store, spec)
+        else:
+            refuse_changes(row, spec, read.source.origin(("name",)))
+            if row.state is StudyState.COMPLETE:
+                report(opened, row)
+                return
+        drive_here(opened, spec.name, inline=inline, take_over=False, cores=cores)
+
+
+def submit(
+    file: File,
+    overrides: Overrides = None,
+    name: NewName = None,
+    server: Annotated[
+        str | None, typer.Option("--server", help="URL of the service; default: the one of this home.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Hand a study to a running service (`halma serve`)."""
+    settings = find_settings()
+    given = _with_name(overrides, name)
+    # What can be told from the form alone is told here, also where no service runs; the rest is the service's to check.
+    read = read_draft(file, given)
+    if read.problems:
+        raise BadStudy(read.problems)
+    with Client(settings, server) as client:
+        try:
+            study = client.submit(file.read_text(encoding="utf-8"), given, str(file))
+        except NameTaken as error:
+            raise NameTaken(f"{read.source.origin(('name',))}: {error}") from None
+        url = client.url
+    if as_json:
+        print_json(study)
+        return
+    name = str(study.get("name"))
+    say(f"Submitted {name} to {url}. Follow it: halma watch {name}")
+
+
+def _with_name(overrides: list[str] | None, name: str | None) -> list[str]:
+    return [*(overrides or []), *([f"name={json.dumps(name)}"] if name is not None else [])]
+
+
+def read_pools(texts: list[str]) -> dict[str, int]:
+    """`["default=2", "gpu=1"]` as cores by pool. Raises `BadInput`."""
+    pools: dict[str, int] = {}
+    for text in texts:
+        pool, _, size = text.partition("=")
+        if not pool or not size.isascii() or not size.isdigit() or int(size) < 1:
+            raise BadInput(f"--pool: expected NAME=CORES such as default=4, found {text}")
+        if pool in pools:
+            raise BadInput(f"--pool: expected each pool once, found {pool} twice")
+        pools[pool] = int(size)
+    return pools
