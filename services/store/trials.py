@@ -226,7 +226,7 @@ class TrialTransitions(Journal):
 
     def began(self, attempt_id: int, token: int, *, host: str, pid: int) -> None:
         """A worker process has taken the attempt up. Raises the beat. Raises `Refused`."""
-        values = {"attempt": attempt_id, "held_token": token, "at": now(), "host": clean(host), "pid": pid}
+        values = {"attempt": attempt_id, "held_token": token, "at": self._at, "host": clean(host), "pid": pid}
         held = self._execute(_BEGAN, values).one_or_none()
         if held is None:
             raise self._refuse_attempt(attempt_id, token, "the start")

@@ -24,7 +24,7 @@ def what_counts(trial):
     return {
         **{key: trial[key] for key in ("number", "state", "params", "z", "value", "features", "seed")},
         "samples": trial["cost"]["samples"],
-        "policy": trial["artifacts"]["policy.safetensors"],
+        "policy": trial["artifacts"]["policy.safetensors"]["sha256"],
     }
 
 
