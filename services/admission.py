@@ -48,10 +48,15 @@ def find(store: Store, name: str) -> StudyRow | None:
         return None
 
 
-def refuse_changes(row: StudyRow, spec: ResolvedSpec, file: str) -> None:
+def refuse_changes(row: StudyRow, spec: ResolvedSpec, origin: str) -> None:
     """Refuse a study file that no longer asks for what its study was created with.
 
     A budget that the study has meanwhile been extended to is no change.
+
+    Args:
+        row: the study.
+        spec: what its file asks for now.
+        origin: where the file gives the name, `file:line`.
 
     Raises:
         StudyChanged: what changed, and what can be done.
@@ -68,9 +73,9 @@ def refuse_changes(row: StudyRow, spec: ResolvedSpec, file: str) -> None:
     raise StudyChanged(
         "\n".join(
             [
-                f"{file}: expected the study {row.name} as it was created, found changes:",
+                f"{origin}: name: expected the study {row.name} as it was created, or a new name, found changes:",
                 *lines,
-                f"  A study keeps what it was created with. {_advice(row, changed, new)}",
+                f"A study keeps what it was created with. {_advice(row, changed, new)}",
             ]
         )
     )

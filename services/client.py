@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import httpx
 
-from services.errors import BadInput, HalmaError
+from services.errors import BadInput, HalmaError, NameTaken
 from services.settings import Settings
 
 TIMEOUT = httpx.Timeout(30.0, connect=5.0)
@@ -134,14 +134,15 @@ class Client:
 
     def _refusal(self, status: int, fields: Any) -> HalmaError:
         error = fields.get("error") if isinstance(fields, dict) else None
-        message = str(error["message"]) if isinstance(error, dict) and error.get("message") else ""
+        error = error if isinstance(error, dict) else {}
+        message = str(error.get("message") or "")
         if status in {401, 403}:
             return BadInput(
                 f"expected the token of the service at {self.url} in {self._settings.token_file}, found that it is "
                 f"refused{f' ({message})' if message else ''}; use the HALMA_HOME the service was started with"
             )
         if 400 <= status < 500 and message:
-            return BadInput(message)
+            return NameTaken(message) if error.get("kind") == "NameTaken" else BadInput(message)
         return ServerRefused(f"expected the service at {self.url} to answer, found status {status}. {message}".rstrip())
 
     def _token(self) -> str:

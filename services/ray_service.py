@@ -148,10 +148,10 @@ class CoordinatorActor:
 
 def start_coordinator(database: str, artifact_root: str, directory: str, pools: Mapping[str, int]) -> Actor:
     """A coordinator actor (see `CoordinatorActor`), not driving anything yet."""
-    shaped: Actor = ray.remote(CoordinatorActor)
+    remote: Any = ray.remote  # its overloads don't know of concurrency groups
     # `mail` has one thread, so that messages of one worker can't overtake each other.
-    options = {"num_cpus": 0, "max_restarts": 0, "concurrency_groups": {"mail": 1, "control": 2}}
-    return shaped.options(**options).remote(database, artifact_root, directory, dict(pools))
+    actor = remote(num_cpus=0, max_restarts=0, concurrency_groups={"mail": 1, "control": 2})(CoordinatorActor)
+    return actor.remote(database, artifact_root, directory, dict(pools))
 
 
 def start_ray(pools: Mapping[str, int], address: str | None = None) -> None:
@@ -159,11 +159,7 @@ def start_ray(pools: Mapping[str, int], address: str | None = None) -> None:
 
     Ray's own dashboard and usage reports stay off; its processes end with this one.
     """
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    # Without it Ray sets CUDA_VISIBLE_DEVICES to nothing for tasks that asked for no GPU, and warns about it.
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     if address is not None:
-        os.environ.setdefault("RAY_AUTH_MODE", "token")
         ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
         return
     resources = {pool_resource(pool): float(size) for pool, size in pools.items() if pool != "default"}

@@ -16,7 +16,7 @@ from services.translate import search_features
 BEST = 5
 """How many trials stand for a study whose task has no behaviour."""
 
-MOST_DETAILS = 3
+MOST_DETAILS = 2
 """Named results beside the value that a table has room for."""
 
 
@@ -77,16 +77,33 @@ def findings(row: StudyRow, history: Sequence[TrialRow]) -> list[Finding]:
     return [Finding(trial, (trial.number,)) for trial in best[:BEST]]
 
 
-def shown_details(found: Sequence[Finding]) -> list[str]:
-    """Names of the details that every finding has as a plain number or word, in their order, as many as fit."""
-    if not found:
+def value_name(found: Sequence[Finding]) -> str:
+    """What the value is called: a detail that equals it in every finding names it (`bar`), else it is `value`."""
+    shared = _shared_details(found)
+    same = [name for name in shared if all(finding.trial.details[name] == finding.trial.value for finding in found)]
+    return same[0] if same else "value"
+
+
+def shown_details(found: Sequence[Finding], behaviour: Behaviour | None) -> list[str]:
+    """Names of the details worth a column: in every finding, and neither the value nor the behaviour once more.
+
+    A task whose value has a name has said what counts; its other details are for `halma trials --json`.
+    """
+    if value_name(found) != "value":
         return []
-    plain = [
-        {name for name, value in finding.trial.details.items() if isinstance(value, int | float | str)}
-        for finding in found
-    ]
-    shared = set.intersection(*plain)
-    return [name for name in found[0].trial.details if name in shared][:MOST_DETAILS]
+    features = set(behaviour.names) if behaviour else set()
+    return [name for name in _shared_details(found) if name not in features][:MOST_DETAILS]
+
+
+def _shared_details(found: Sequence[Finding]) -> list[str]:
+    """Details that every finding has as a number or a word, in their order."""
+    plain = [{name for name, value in finding.trial.details.items() if _is_figure(value)} for finding in found]
+    shared = set.intersection(*plain) if plain else set()
+    return [name for name in found[0].trial.details if name in shared] if found else []
+
+
+def _is_figure(value: Any) -> bool:
+    return isinstance(value, int | float | str) and not isinstance(value, bool)
 
 
 def feature_words(features: Sequence[float] | None, behaviour: Behaviour) -> str:

@@ -15,6 +15,7 @@ from services.coordinator import Coordinator
 from services.dispatch.inline import InlineDispatcher
 from services.errors import HalmaError, InterruptedByUser
 from services.proposing import InlineStrategist
+from services.ray_environment import prepare
 from services.states import StudyState
 from services.store.open import open_store
 from services.store.port import StudyRow
@@ -79,6 +80,7 @@ def drive(
     if inline:
         _drive_inline(database, artifact_root, name, sizes, take_over=take_over)
     else:
+        prepare(ray_address)
         from services.ray_running import drive_with_ray  # noqa: PLC0415 - Ray takes a second to import
 
         drive_with_ray(

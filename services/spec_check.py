@@ -14,6 +14,7 @@ from services.spec_file import BadStudy, Draft, Problem, draft, read_draft
 from services.translate import make_strategy_of, resolve
 from workers.contracts import BadJob, BadSetting, Task, TaskInfo
 from workers.registry import load_task
+from workers.user_code import UnknownTask
 
 Problems = list[Problem]
 
@@ -72,6 +73,9 @@ def _find_task(read: Draft, problems: Problems) -> tuple[Task | None, TaskInfo |
         return found, found.info(settings if isinstance(settings, dict) else {})
     except BadSetting as error:
         problems.append(read.source.problem(_place(error), error.message))
+    except UnknownTask as error:
+        why = str(error).removeprefix(f"task {choice['name']!r}: ")
+        problems.append(read.source.problem(place, f"expected a task, found {choice['name']}: {why}"))
     except BadJob as error:
         problems.append(read.source.problem(place, str(error)))
     return None, None

@@ -16,7 +16,8 @@ from services.spec import (
     ResolvedSpec,
     StudySpec,
 )
-from workers.contracts import FeatureSpec, ParameterSpec, TaskInfo
+from services.store.port import TrialRow
+from workers.contracts import FeatureSpec, Job, ParameterSpec, TaskInfo
 
 
 def parameter_of(spec: ParameterSpec) -> Parameter:
@@ -85,6 +86,21 @@ def search_features(behaviour: Behaviour | None) -> Features | None:
     if behaviour.kind == "rotation":
         return Features.rotation()
     return Features.euclidean(len(behaviour.names), low=behaviour.low or 0.0, high=behaviour.high or 1.0)
+
+
+def job_of(spec: StudySpec, trial: TrialRow) -> Job:
+    """What a worker runs for a trial; also what a policy is simulated again from."""
+    return Job(
+        study=spec.name,
+        trial=trial.number,
+        task=spec.task.name,
+        task_settings=spec.task.settings,
+        training=spec.training,
+        params=dict(trial.params),
+        z=trial.z,
+        seed=trial.seed,
+        parent=trial.warm_start,
+    )
 
 
 def strategy_settings(spec: StudySpec) -> dict[str, Any]:

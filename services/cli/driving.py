@@ -62,7 +62,7 @@ def drive_here(opened: Session, name: str, *, inline: bool, take_over: bool, cor
         raise StudyDriven(f"{error}; or take it over: halma resume {name} --take-over") from None
     report(opened, opened.store.study(name))
     if row.state is StudyState.FAILED:
-        raise StudyFailed(f"{name} failed: {row.reason}")
+        raise StudyFailed(f"{name} failed; the reason is above. All of a trial's words: halma trials {name} --json")
 
 
 def _pools(row: StudyRow, cores: int | None) -> dict[str, int] | None:

@@ -9,7 +9,7 @@ from rich.text import Text
 
 from services.cli.session import Session, console, say
 from services.cli.tables import parameter_cells, parameter_heads, plain_table
-from services.cli.words import count, duration, several, value_of
+from services.cli.words import count, duration, first_line, several, state_words, value_of
 from services.contact_sheet import POSE, Tile, draw
 from services.errors import ArtifactDamaged
 from services.report import (
@@ -22,6 +22,7 @@ from services.report import (
     shown_details,
     spec_of,
     units_of,
+    value_name,
 )
 from services.spec import ResolvedSpec
 from services.states import StudyState
@@ -35,6 +36,10 @@ def report(opened: Session, row: StudyRow) -> None:
     say(_headline(row, found))
     if row.reason and row.state is not StudyState.COMPLETE:
         say(f"Why: {row.reason}")
+    elif not found and history:
+        say(
+            f"The newest trial is {history[-1].state.value}: {first_line(history[-1].message, 200) or 'without a word'}"
+        )
     if found:
         say()
         _table(row, found)
@@ -51,21 +56,26 @@ def report(opened: Session, row: StudyRow) -> None:
 def _headline(row: StudyRow, found: Sequence[Finding]) -> str:
     done = several(sum(row.counts.values()), "trial")
     if behaviour_of(row) is None:
-        return f"{row.name} is {row.state.value}: {done}" + (f", the best {len(found)} of them:" if found else "")
+        return f"{row.name} {state_words(row.state)}: {done}" + (f", the best {len(found)} of them:" if found else "")
     if not found:
-        return f"{row.name} is {row.state.value}: {done}, no strategy that works"
-    return f"{row.name} is {row.state.value}: {several(len(found), 'distinct strategy')} in {done}"
+        return f"{row.name} {state_words(row.state)}: {done}, no strategy that works"
+    return f"{row.name} {state_words(row.state)}: {several(len(found), 'distinct strategy')} in {done}"
 
 
 def _table(row: StudyRow, found: Sequence[Finding]) -> None:
     behaviour = behaviour_of(row)
     names = list(found[0].trial.params)
-    details = shown_details(found)
+    details = shown_details(found, behaviour)
     table = plain_table()
     table.add_column("", justify="right", style="dim")
     if behaviour is not None:
         table.add_column(feature_head(behaviour), justify="right", no_wrap=True)
-    heads = [*(name.replace("_", " ") for name in details), "value", *parameter_heads(names, units_of(row)), "trial"]
+    heads = [
+        *(name.replace("_", " ") for name in details),
+        value_name(found),
+        *parameter_heads(names, units_of(row)),
+        "trial",
+    ]
     for head in heads:
         table.add_column(head, justify="right")
     if behaviour is not None:
@@ -101,7 +111,7 @@ def _may_have_pictures(row: StudyRow) -> bool:
 def contact_sheet(opened: Session, row: StudyRow, found: Sequence[Finding]) -> Path | None:
     """Draw one tile for each finding that left a picture; None where there is none, or no place to save it."""
     behaviour = behaviour_of(row)
-    details = shown_details(found)
+    details = shown_details(found, behaviour)
     tiles = []
     for place, finding in enumerate(found, start=1):
         trial = finding.trial
@@ -115,8 +125,9 @@ def contact_sheet(opened: Session, row: StudyRow, found: Sequence[Finding]) -> P
             continue
         words = feature_words(trial.features, behaviour) if behaviour else value_of(trial.value)
         named = f"{behaviour.names[0]} {words}" if behaviour and len(behaviour.names) == 1 else words
-        extra = ", ".join(f"{name.replace('_', ' ')} {detail_words(trial.details[name])}" for name in details)
-        tiles.append(Tile(data, f"{place}. {named}", f"trial {trial.number}{', ' if extra else ''}{extra}"))
+        figures = {value_name(found): trial.value, **{name: trial.details[name] for name in details}}
+        extra = ", ".join(f"{name.replace('_', ' ')} {detail_words(value)}" for name, value in figures.items())
+        tiles.append(Tile(data, f"{place}. {named}", f"trial {trial.number}, {extra}"))
     if not tiles:
         return None
     try:
@@ -136,7 +147,7 @@ def _next(row: StudyRow, found: Sequence[Finding]) -> None:
     if row.state is StudyState.COMPLETE:
         commands.append((f"halma extend {row.name} --trials 10", "search on"))
     else:
-        commands.append((f"halma resume {row.name}", "go on"))
+        commands.append((f"halma resume {row.name}", "try again" if row.state is StudyState.FAILED else "go on"))
     commands.append(("halma serve", "look at it in the browser"))
     width = max(len(command) for command, _ in commands)
     say("Next:")

@@ -137,7 +137,7 @@ def progress_line(snapshot: Snapshot) -> str:
     if snapshot.distinct is not None:
         parts.append(several(snapshot.distinct, "distinct strategy"))
     parts.append(f"{count(row.samples)} samples" + (f" ({count(snapshot.rate)}/s)" if snapshot.rate else ""))
-    if snapshot.left is not None:
+    if snapshot.left:
         parts.append(f"about {duration(snapshot.left)} left")
     return ", ".join(parts)
 

@@ -13,9 +13,9 @@ from services.cli.driving import drive_here
 from services.cli.findings import report
 from services.cli.session import AsJson, Db, print_json, say, session
 from services.client import Client
-from services.errors import BadInput
+from services.errors import BadInput, NameTaken
 from services.settings import find_settings
-from services.spec_check import load_study
+from services.spec_check import check
 from services.spec_file import BadStudy, read_draft
 from services.states import StudyState
 
@@ -35,13 +35,14 @@ def run(
     db: Db = None,
 ) -> None:
     """Run a study here: start it, resume it where it was interrupted, or show it where it is finished."""
-    spec = load_study(file, _with_name(overrides, name))
+    read = read_draft(file, _with_name(overrides, name))
+    spec = check(read)
     with session(db) as opened:
         row = find(opened.store, spec.name)
         if row is None:
             admit(opened.store, spec)
         else:
-            refuse_changes(row, spec, str(file))
+            refuse_changes(row, spec, read.source.origin(("name",)))
             if row.state is StudyState.COMPLETE:
                 report(opened, row)
                 return
@@ -65,7 +66,10 @@ def submit(
     if read.problems:
         raise BadStudy(read.problems)
     with Client(settings, server) as client:
-        study = client.submit(file.read_text(encoding="utf-8"), given, str(file))
+        try:
+            study = client.submit(file.read_text(encoding="utf-8"), given, str(file))
+        except NameTaken as error:
+            raise NameTaken(f"{read.source.origin(('name',))}: {error}") from None
         url = client.url
     if as_json:
         print_json(study)

@@ -11,7 +11,7 @@ from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
 from services.cli.session import AsJson, Db, Session, console, print_json, print_json_line, say, session
 from services.cli.tables import done_of, fields_table, state_text, studies_table, trials_table
-from services.cli.words import count, duration, several, value_of
+from services.cli.words import count, duration, several, state_words, value_of
 from services.driver import this_process
 from services.errors import BadInput, Refused, StudyDriven, WrongState
 from services.listings import event_json, study_json, trial_json
@@ -136,7 +136,7 @@ def watch(
             time.sleep(WATCH_SECONDS)
     if not as_json:
         reason = f": {row.reason}" if row.reason else ""
-        say(f"{row.name} is {row.state.value}{reason}.")
+        say(f"{row.name} {state_words(row.state)}{reason}")
 
 
 def pause(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
@@ -161,7 +161,7 @@ def _ask(name: str, wanted: str, db: str | None, *, as_json: bool, driven: str) 
     elif row.driver is not None:
         say(f"{name} {driven}.")
     else:
-        say(f"{name} is {row.state.value}.")
+        say(f"{name} {state_words(row.state)}.")
 
 
 def _let_go(opened: Session, row: StudyRow) -> None:

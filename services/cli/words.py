@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from services.states import StudyState
+
 
 def count(number: float) -> str:
     """12,345."""
@@ -49,6 +51,12 @@ def value_of(value: Any) -> str:
     if isinstance(value, Sequence) and not isinstance(value, str):
         return ", ".join(value_of(each) for each in value)
     return str(value)
+
+
+def state_words(state: StudyState) -> str:
+    """What one says of a study in this state."""
+    said = {StudyState.FAILED: "failed", StudyState.CANCELLED: "was cancelled"}
+    return said.get(state, f"is {state.value}")
 
 
 def first_line(text: str, width: int = 80) -> str:
