@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import shutil
+
 import pytest
 from fastapi.testclient import TestClient
 
@@ -13,9 +15,17 @@ from tests.record import Record
 TOKEN = "a-token-for-tests-only"
 
 
+@pytest.fixture(scope="session")
+def empty_database(tmp_path_factory):
+    """Making the tables takes half a second, copying a file nothing."""
+    path = tmp_path_factory.mktemp("template") / "halma.db"
+    open_store(path).close()
+    return path
+
+
 @pytest.fixture
-def store(tmp_path):
-    opened = open_store(tmp_path / "halma.db")
+def store(tmp_path, empty_database):
+    opened = open_store(shutil.copy(empty_database, tmp_path / "halma.db"))
     yield opened
     opened.close()
 
