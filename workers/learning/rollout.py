@@ -102,13 +102,14 @@ def collect(
 ) -> list[Episode]:
     """Play whole episodes until they have at least `samples` steps together.
 
-    Every episode that is begun is played to its end and counts, so that short ones are not favoured.
+    Every episode that is begun is played to its end and counts, so that short ones are not favoured. A new one begins
+    where those at play, if they get as long as those that ended, will not do.
 
     Args:
         envs: how many play at a time; none of them is used again within this call before its episode has ended.
         policy: gives the network's outputs.
         sample: gives the actions.
-        samples: no new episode begins once so many steps have been made.
+        samples: steps wanted; a little more than that are made.
         level: for the environments.
         seeds: gives the seed of each episode, in the order they begin.
         episode_limit: a longer episode raises `BadJob`.
@@ -124,7 +125,7 @@ def collect(
     playing: list[Episode] = [Episode() for _ in envs]
     finished: list[Episode] = []
     active = list(range(len(envs)))
-    made = 0
+    done = 0
 
     def begin(i: int, *, fresh: bool) -> None:
         options: dict[str, JSON] = {"level": level, "fresh": fresh}
@@ -153,7 +154,6 @@ def collect(
             if getattr(observation, "shape", None) != shape:
                 _check_shape(observation, shape)
             current[i] = observation
-            made += 1
             if not (terminated or truncated):
                 if len(episode) >= episode_limit:
                     raise BadJob(
@@ -166,7 +166,9 @@ def collect(
             _check_finite(episode.last)
             episode.terminated, episode.info = bool(terminated), info
             finished.append(episode)
-            if made < samples:
+            done += len(episode)
+            at_play = len(still) + len(active) - row - 1
+            if done + at_play * (done / len(finished)) < samples:
                 begin(i, fresh=False)
                 still.append(i)
         active = still
