@@ -1,4 +1,4 @@
-"""The athlete and its world in Bullet."""
+"""How does the athlete move? Rotations, the humanoid, its world, and pictures of it; nothing of tasks or learning."""
 
 import os
 import sys
