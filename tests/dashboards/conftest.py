@@ -148,3 +148,11 @@ def browser(anyone):
         ]
     )
     return anyone
+
+
+def until(done, seconds=10.0):
+    """Wait for something that the document doesn't show. (Waiting inside the page needs eval, which it forbids.)"""
+    end = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end
+        time.sleep(0.05)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-import time
 
 import pytest
 from playwright.sync_api import expect
 
 from services.auth import COOKIE
 from services.states import TrialState
-from tests.dashboards.conftest import TOKEN, log_in
+from tests.dashboards.conftest import TOKEN, log_in, until
 from tests.record import Record
 
 pytestmark = pytest.mark.browser
@@ -26,14 +25,6 @@ def ready(watched, path):
     page = watched.open(path)
     page.wait_for_selector("#link[data-state=live]")
     return page
-
-
-def until(done, seconds=10.0):
-    """Wait for something that the document doesn't show. (Waiting inside the page needs eval, which it forbids.)"""
-    end = time.monotonic() + seconds
-    while not done():
-        assert time.monotonic() < end
-        time.sleep(0.05)
 
 
 class TestLogin:
