@@ -9,7 +9,7 @@ import uuid
 
 import pytest
 import uvicorn
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import expect, sync_playwright
 
 from dashboards.app import create_app
 from services.api.submission import submit_to
@@ -24,6 +24,11 @@ FLAGS = [
     "--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 ]  # fmt: skip
+
+
+# Limits for a machine that is busy with other things; what is waited for comes in tens of milliseconds on an idle one.
+expect.set_options(timeout=30_000)
+NAVIGATION_MS = 120_000
 
 
 class Service:
@@ -94,6 +99,7 @@ class Watched:
 
     def __init__(self, context, url):
         self.url = url
+        context.set_default_timeout(NAVIGATION_MS)
         self.page = context.new_page()
         self.requests = []
         self.complaints = []
