@@ -128,6 +128,7 @@ class Interleavings(RuleBasedStateMachine):
     @precondition(lambda self: self.late())
     @rule(data=st.data(), to=st.sampled_from(["queued", "paused", "complete", "cancelled", "failed"]))
     def release(self, data, to):
+        """Also with trials that are running."""
         self.let_go(self.a_drive_token(data), to)
 
     def let_go(self, token, to):
@@ -289,7 +290,8 @@ class Interleavings(RuleBasedStateMachine):
     @precondition(lambda self: self.late())
     @rule(data=st.data())
     def cancel_trial(self, data):
-        token, trial = self.a_drive_token(data), data.draw(st.sampled_from(self.trials))
+        running = [trial for trial in self.trials if trial.state == "running"]
+        token, trial = self.a_drive_token(data), data.draw(st.sampled_from(running * 3 + self.trials))
         allowed = self.drives(token) and trial.state in {"queued", "running"}
         self.attempted(allowed, "cancel_trial", trial.id, token, "enough")
         if allowed:
@@ -367,7 +369,7 @@ def test_random_interleavings_keep_the_invariants(store):
     run_state_machine_as_test(
         lambda: Interleavings(store),
         settings=settings(
-            max_examples=12,
+            max_examples=16,
             stateful_step_count=60,
             deadline=None,
             suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
