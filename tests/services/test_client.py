@@ -10,7 +10,8 @@ import sys
 import httpx
 import pytest
 
-from services.client import Client, ServerRefused, ServerUnavailable, find_server, read_server
+from services.address import find_server, read_server
+from services.client import Client, ServerRefused, ServerUnavailable
 from services.errors import BadInput, NameTaken
 from services.settings import find_settings
 
