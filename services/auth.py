@@ -8,6 +8,7 @@ they need no table, survive a restart, and a new token ends all of them.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import hmac
 import os
@@ -51,23 +52,23 @@ def load_or_create_token(home: Path) -> TokenFile:
     path = home / "token"
     token = secrets.token_urlsafe(32)
     fresh = home / f".token-{secrets.token_hex(8)}"
+    if path.exists():
+        return TokenFile(_read_token(path), path, created=False)
     try:
         home.mkdir(parents=True, exist_ok=True, mode=0o700)
-        if path.exists():
-            return TokenFile(_read_token(path), path, created=False)
         handle = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         try:
             with os.fdopen(handle, "w", encoding="ascii") as file:
                 file.write(token + "\n")
             # A link appears whole or not at all: two services that start together agree on the one that was first.
-            os.link(fresh, path)
+            with contextlib.suppress(FileExistsError):
+                os.link(fresh, path)
         finally:
             fresh.unlink()
-    except FileExistsError:
-        return TokenFile(_read_token(path), path, created=False)
     except OSError as error:
         raise BadInput(f"{path}: expected to keep the access token there, found: {error.strerror or error}") from None
-    return TokenFile(token, path, created=True)
+    kept = _read_token(path)
+    return TokenFile(kept, path, created=kept == token)
 
 
 def _read_token(path: Path) -> str:

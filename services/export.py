@@ -117,9 +117,12 @@ def _write_parquet(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     import pyarrow as pa  # noqa: PLC0415 - half a second that other formats needn't pay
     import pyarrow.parquet as pq  # noqa: PLC0415 - as above
 
-    # Seeds are unsigned 64-bit, which pyarrow doesn't guess.
+    # What pyarrow can't guess: seeds are unsigned, and a column without any value has a type all the same.
+    types = {"seed": pa.uint64(), "z": pa.float64(), "value": pa.float64(), "warm_start": pa.int64()}
     arrays = {
-        name: pa.array([row[name] for row in rows], type=pa.uint64() if name == "seed" else None)
+        name: pa.array(
+            [row[name] for row in rows], type=pa.float64() if name.startswith("feature_") else types.get(name)
+        )
         for name in (rows[0] if rows else {})
     }
     pq.write_table(pa.table(arrays), path)

@@ -38,8 +38,8 @@ function layout({ x, y, legend = false, margin = {}, ...more }) {
   const font = getComputedStyle(document.body).fontFamily;
   return {
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { family: font, size: 12, color: colour("ink") },
-    margin: { l: 48, r: 12, t: 8, b: 40, ...margin }, xaxis: axis(x.title, x.more), yaxis: axis(y.title, y.more),
-    hovermode: "closest", showlegend: legend, legend: { orientation: "h", y: 1.08, x: 0, font: { size: 11 } },
+    margin: { l: 48, r: 12, t: legend ? 30 : 8, b: 40, ...margin }, xaxis: axis(x.title, x.more), yaxis: axis(y.title, y.more),
+    hovermode: "closest", showlegend: legend, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0, font: { size: 11 } },
     hoverlabel: { bgcolor: colour("sheet"), bordercolor: colour("line"), font: { family: font, size: 12, color: colour("ink") } },
     dragmode: "zoom", uirevision: "stay", ...more,
   };
@@ -82,7 +82,9 @@ export class Chart {
       const Plotly = await plotly();
       const first = !this.at.data;
       if (first) this.at.textContent = "";
-      await Plotly.react(this.at, traces, layout(rest), {
+      // On a phone the legend would cover the chart; the table below names the shapes.
+      const legend = rest.legend && this.at.clientWidth > 480;
+      await Plotly.react(this.at, traces, layout({ ...rest, legend }), {
         displayModeBar: false, responsive: false, doubleClick: "reset", toImageButtonOptions: { format: "svg" },
       });
       if (first) {

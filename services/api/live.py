@@ -67,6 +67,12 @@ def trials_of(event: EventRow) -> list[int]:
 RESET = encode({"type": "reset"})
 
 
+def _say_why(task: asyncio.Task[None]) -> None:
+    """Name what stopped the poller, unless it was sent to rest."""
+    if not task.cancelled() and (error := task.exception()) is not None:
+        log.warning("the event poller stopped: %s: %s", type(error).__name__, error)
+
+
 @dataclass(eq=False)
 class Subscription:
     """One listener's queue.
@@ -128,6 +134,7 @@ class Hub:
             if self._task is None or self._task.done():
                 self._cursor, self._history = await run_in_threadpool(self._where)
                 self._task = asyncio.create_task(self._poll(), name="halma event poller")
+                self._task.add_done_callback(_say_why)
         subscription = Subscription(topic)
         # From here on, every frame beyond this cursor lies in the queue; what is before is fetched below.
         now, history = self._cursor, self._history

@@ -299,6 +299,25 @@ class EventPage(Model):
     next: int | None = Field(description="pass as `after` for the next page; none at the end")
 
 
+class StrategyOut(Model):
+    """One distinct way of doing it: the best of the trials whose behaviour counts as the same."""
+
+    number: int = Field(description="the trial that stands for it")
+    value: float | None
+    features: list[float]
+    members: int = Field(description="how many trials count as the same, this one among them")
+    details: dict[str, JsonValue]
+    pose: bool = Field(description="whether the trial left a picture of its pose (`pose.png`)")
+    replay: bool = Field(description="whether the trial left its motion (`replay.bin`)")
+
+
+class StrategyList(Position):
+    """The distinct strategies of a study, best first."""
+
+    distance: float | None = Field(description="two behaviours further apart than this are different strategies")
+    strategies: list[StrategyOut]
+
+
 class Submission(Model):
     """A study file to be run."""
 

@@ -22,6 +22,8 @@ from services.api.models import (
     Metrics,
     ProposalOut,
     ServerOut,
+    StrategyList,
+    StrategyOut,
     StudyList,
     StudyOut,
     StudySummary,
@@ -251,6 +253,40 @@ def artifact(
 def _file_name(text: str) -> str:
     """A name that needs no quoting in a header."""
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", text)
+
+
+@router.get("/studies/{study}/strategies", tags=["studies"])
+def strategies(service: Uses, request: Request, study: Study) -> StrategyList:
+    """The distinct strategies that a study has found; none where its task has no behaviour."""
+    # The search's geometry comes with torch, which takes a second to import, once.
+    from services.report import behaviour_of, distinct_trials  # noqa: PLC0415
+
+    cursor, history = service.store.last_event(), service.store.history_id()
+    row = service.store.study(study)
+    behaviour = behaviour_of(row)
+    if behaviour is None:
+        return StrategyList(cursor=cursor, history=history, distance=None, strategies=[])
+    finished = [trial for trial in _finished(request, service).all_trials(row) if trial.position is not None]
+    found = distinct_trials(row, sorted(finished, key=lambda trial: trial.position or 0))
+    return StrategyList(
+        cursor=cursor,
+        history=history,
+        distance=behaviour.distinct,
+        strategies=[_strategy(service, finding.trial, len(finding.members)) for finding in found],
+    )
+
+
+def _strategy(service: Uses, trial: TrialRow, members: int) -> StrategyOut:
+    left = {row.name for row in service.store.artifacts(trial.id)}
+    return StrategyOut(
+        number=trial.number,
+        value=trial.value,
+        features=list(trial.features or ()),
+        members=members,
+        details=dict(trial.details),
+        pose="pose.png" in left,
+        replay="replay.bin" in left,
+    )
 
 
 @router.get("/studies/{study}/proposals", tags=["studies"])

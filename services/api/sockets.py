@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import asyncio
-import logging
+import contextlib
 from typing import Annotated
 
+import anyio
 from fastapi import APIRouter, Query, WebSocket, WebSocketDisconnect
 
 from services.api.routes import LARGEST_ID
 from services.api.service import Uses
-
-log = logging.getLogger(__name__)
 
 router = APIRouter()
 
@@ -28,27 +26,17 @@ async def events(
 ) -> None:
     """Frames of one study, or of all, beyond a cursor."""
     await socket.accept()
-    async with service.hub.listen(study, after) as frames:
-
-        async def sending() -> None:
+    async with service.hub.listen(study, after) as frames, anyio.create_task_group() as group:
+        # A sender that waits for news doesn't notice that nobody is there any more; a receiver does.
+        group.start_soon(_until_gone, socket, group.cancel_scope)
+        with contextlib.suppress(WebSocketDisconnect):
             async for frame in frames:
                 await socket.send_text(frame)
-
-        send = asyncio.create_task(sending(), name="halma socket sender")
-        # A sender that waits for news doesn't notice that nobody is there any more; a receiver does.
-        receive = asyncio.create_task(_until_gone(socket), name="halma socket receiver")
-        done, pending = await asyncio.wait({send, receive}, return_when=asyncio.FIRST_COMPLETED)
-        for task in pending:
-            task.cancel()
-        await asyncio.gather(*pending, return_exceptions=True)
-        if send in done and receive not in done:
-            if (error := send.exception()) is not None and not isinstance(error, WebSocketDisconnect):
-                log.warning("a viewer's events stopped: %s", error)
             await socket.close(TRY_AGAIN)
+        group.cancel_scope.cancel()
 
 
-async def _until_gone(socket: WebSocket) -> None:
-    while True:
-        message = await socket.receive()
-        if message["type"] == "websocket.disconnect":
-            return
+async def _until_gone(socket: WebSocket, scope: anyio.CancelScope) -> None:
+    while (await socket.receive())["type"] != "websocket.disconnect":
+        pass
+    scope.cancel()

@@ -185,5 +185,6 @@ database = typer.Typer(help="The trial database.", no_args_is_help=True)
 def db_upgrade(db: Db = None) -> None:
     """Bring the trial database to the schema of this halma (a SQLite file is copied first)."""
     settings = find_settings(db)
+    settings.home.mkdir(parents=True, exist_ok=True)
     before = upgrade(settings.database)
     say(f"The schema is up to date (it was {before or 'empty'}).")

@@ -8,8 +8,8 @@ from typing import Any
 from services.cli.words import count, duration, first_line, number
 from services.store.port import EventRow
 
-METRICS = ("level", "success_rate", "return_mean")
-"""The learner's figures that a line has room for, in this order."""
+METRICS = {"level": "level", "success_rate": "success", "return_mean": "return"}
+"""The learner's figures that a line has room for, in this order, and what the line calls them."""
 
 
 def event_line(event: EventRow) -> str | None:
@@ -22,9 +22,9 @@ def event_line(event: EventRow) -> str | None:
 
 
 def metric_words(metrics: Mapping[str, Any]) -> str:
-    """The figures people look at: `level 0.62, success_rate 0.48, return_mean 0.31`; others where there are none."""
+    """The figures people look at: `level 0.62, success 0.48, return 0.31`; others where there are none of these."""
     named = [name for name in METRICS if name in metrics] or sorted(metrics)[:3]
-    return ", ".join(f"{name.replace('_', ' ')} {number(float(metrics[name]))}" for name in named)
+    return ", ".join(f"{METRICS.get(name, name.replace('_', ' '))} {number(float(metrics[name]))}" for name in named)
 
 
 Payload = Mapping[str, Any]

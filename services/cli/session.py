@@ -25,7 +25,7 @@ Db = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
-PIPED_WIDTH = 160
+PIPED_WIDTH = 200
 """Columns where nobody's window says how many there are: tables in a pipe or a log shouldn't be cut."""
 
 

@@ -109,16 +109,18 @@ def trials(
 
 def watch(
     name: StudyName,
-    since: Annotated[int, typer.Option("--since", min=0, help="Begin after this event; 0 is the beginning.")] = -1,
+    since: Annotated[
+        int | None, typer.Option("--since", min=0, help="Begin after this event (0: all); default: now.")
+    ] = None,
     db: Db = None,
     as_json: AsJson = False,
 ) -> None:
     """Follow what happens in a study, until it ends. With --json, one object a line; `id` is the cursor for --since."""
     with session(db) as opened:
+        row = opened.store.study(name)
         cursor = since
-        if cursor < 0:
+        if cursor is None:
             cursor = opened.store.last_event()
-            row = opened.store.study(name)
             if not as_json:
                 say(f"{row.name}: {row.state.value}, {done_of(row)} trials. Ctrl-C stops watching, not the study.")
         while True:

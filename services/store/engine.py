@@ -54,6 +54,8 @@ def shown(url: URL) -> str:
     """The database as messages name it: a path, or a URL without its password."""
     if url.get_backend_name() == "sqlite" and url.database:
         return url.database
+    if url.drivername == "postgresql+psycopg":
+        url = url.set(drivername="postgresql")
     return url.render_as_string(hide_password=True)
 
 

@@ -41,14 +41,16 @@ class SqlStore(Reads):
             raise RuntimeError("expected no open transaction in this thread, found one; end it before the next")
         with self._writing, translated(self._engine.url), self._engine.connect() as connection:
             self._writer = threading.get_ident()
-            change = SqlChange(connection)
             try:
                 begin_write(connection)
-                yield change
-                change.flush()
+                change = SqlChange(connection)
+                try:
+                    yield change
+                    change.flush()
+                finally:
+                    change.end()
                 connection.commit()
             finally:
-                change.abandon()
                 self._writer = None
 
     def close(self) -> None:

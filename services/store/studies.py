@@ -12,7 +12,7 @@ from services.states import LIVE_STUDY, StudyState
 from services.store.journal import Journal
 from services.store.port import JSON, Driver, StudyRow
 from services.store.reads import one_study
-from services.store.rows import amount, clean, encode, now, seed_text
+from services.store.rows import amount, clean, encode, seed_text
 from services.store.schema import attempts, events, studies, trials
 
 _ENDED = (StudyState.COMPLETE, StudyState.CANCELLED, StudyState.FAILED)
@@ -91,7 +91,7 @@ class StudyTransitions(Journal):
             "priority": priority,
             "target_trials": target_trials,
             "target_cost": target_cost,
-            "created_at": now(),
+            "created_at": self._at,
         }
         taken = self._execute(select(studies.c.state).where(studies.c.name == name)).scalar_one_or_none()
         if taken is not None:
@@ -110,9 +110,9 @@ class StudyTransitions(Journal):
             raise WrongState(
                 f"study {name!r}: expected one that has ended, found it {row.state}; cancel it before deleting it"
             )
+        self.flush()
         self._execute(events.delete().where(events.c.study_id == row.id))
         self._execute(studies.delete().where(studies.c.id == row.id))
-        self._forget(row.id)
         self._append("deleted", row.id, None, {"study": name})
 
     def ask(self, name: str, wanted: str) -> StudyRow:
@@ -144,7 +144,7 @@ class StudyTransitions(Journal):
         if to is StudyState.PAUSED:
             return {"state": to.value, "reason": "asked to pause"}
         self._cancel_queued(row.id, "the study was cancelled")
-        return {"state": to.value, "reason": "asked to cancel", "finished_at": now()}
+        return {"state": to.value, "reason": "asked to cancel", "finished_at": self._at}
 
     def extend(self, name: str, *, trials: int = 0, cost: float = 0.0) -> StudyRow:
         """Raise the targets; a complete study becomes `queued` again. Raises `WrongState`."""
@@ -198,7 +198,7 @@ class StudyTransitions(Journal):
                 "driver_host": clean(driver.host),
                 "driver_pid": driver.pid,
                 "driver_started": clean(driver.started),
-                "driven_since": now(),
+                "driven_since": self._at,
                 "drive_token": token,
                 "drive_beat": 0,
                 "finished_at": None,
@@ -214,7 +214,7 @@ class StudyTransitions(Journal):
     def _requeue_all(self, study_id: int, why: str) -> None:
         """End the running attempts as `lost`; it is the driver that failed, so no trial's retry is counted."""
         why = clean(why)
-        lost = self._execute(_LOSE_ATTEMPTS, {"study": study_id, "at": now(), "why": why})
+        lost = self._execute(_LOSE_ATTEMPTS, {"study": study_id, "at": self._at, "why": why})
         attempt_of = dict(lost.all())
         for trial in self._execute(_REQUEUE_TRIALS, {"study": study_id}).all():
             payload = {"attempt": attempt_of.get(trial.id), "reason": why, "retries": trial.retries}
@@ -243,7 +243,7 @@ class StudyTransitions(Journal):
             "token": drive_token,
             "to_state": state.value,
             "to_reason": clean(reason),
-            "to_finished_at": now() if state in _ENDED else None,
+            "to_finished_at": self._at if state in _ENDED else None,
         }
         if self._execute(_RELEASE, values).rowcount != 1:
             raise self._refuse_driver(study_id, drive_token, "the release")
@@ -252,7 +252,7 @@ class StudyTransitions(Journal):
         self._append("released", study_id, None, {"state": state.value, "reason": clean(reason)})
 
     def _cancel_queued(self, study_id: int, why: str) -> None:
-        for (number,) in self._execute(_CANCEL_QUEUED, {"study": study_id, "why": why, "at": now()}).all():
+        for (number,) in self._execute(_CANCEL_QUEUED, {"study": study_id, "why": why, "at": self._at}).all():
             self._append("finished", study_id, number, {"state": "cancelled", "position": None, "message": why})
 
     def _read(self, name: str) -> StudyRow:

@@ -17,7 +17,7 @@ from services.errors import Refused
 from services.states import OBSERVED_TRIAL, AttemptState, TrialState
 from services.store.journal import Journal
 from services.store.port import JSON, AttemptRow, NewTrial, Result, TrialRow
-from services.store.rows import ATTEMPT, TRIAL, amount, attempt_row, clean, encode, finite, now, seed_text, trial_row
+from services.store.rows import ATTEMPT, TRIAL, amount, attempt_row, clean, encode, finite, seed_text, trial_row
 from services.store.schema import artifacts, attempts, metrics, proposals, studies, trials
 
 _DRIVEN = select(studies.c.id).where(
@@ -158,7 +158,6 @@ class TrialTransitions(Journal):
         info: Mapping[str, JSON] | None = None,
     ) -> list[TrialRow]:
         """Record a proposal and its trials (`queued`), numbered in order. Raises `Refused`."""
-        at = now()
         proposal = {
             "study_id": study_id,
             "strategy": strategy,
@@ -168,7 +167,7 @@ class TrialTransitions(Journal):
             "count": len(trials),
             "seconds": amount("proposal.seconds", seconds),
             "info": encode("proposal.info", dict(info or {})),
-            "created_at": at,
+            "created_at": self._at,
         }
         rows: list[dict[str, Any]] = [
             {
@@ -180,7 +179,7 @@ class TrialTransitions(Journal):
                 "warm_start": trial.warm_start,
                 "seed": seed_text(trial.seed),
                 "info": encode("trial.info", dict(trial.info)),
-                "created_at": at,
+                "created_at": self._at,
             }
             for trial in trials
         ]
@@ -205,8 +204,7 @@ class TrialTransitions(Journal):
         self, trial_id: int, drive_token: int, *, worker: str, host: str = "", pid: int | None = None
     ) -> AttemptRow:
         """`queued` -> `running` with a new attempt. Raises `Refused`."""
-        at = now()
-        trial = self._execute(_START, {"trial": trial_id, "held_token": drive_token, "at": at}).one_or_none()
+        trial = self._execute(_START, {"trial": trial_id, "held_token": drive_token, "at": self._at}).one_or_none()
         if trial is None:
             raise self._refuse_trial(trial_id, drive_token, "the start", "queued")
         attempt = {
@@ -219,8 +217,8 @@ class TrialTransitions(Journal):
             "host": clean(host),
             "pid": pid,
             "first_iteration": trial.iteration,
-            "started_at": at,
-            "beat_at": at,
+            "started_at": self._at,
+            "beat_at": self._at,
         }
         row = attempt_row(self._execute(_ADD_ATTEMPT, attempt).one())
         self._append("started", trial.study_id, trial.number, {"attempt": row.number, "worker": worker, "host": host})
@@ -228,7 +226,7 @@ class TrialTransitions(Journal):
 
     def began(self, attempt_id: int, token: int, *, host: str, pid: int) -> None:
         """A worker process has taken the attempt up. Raises the beat. Raises `Refused`."""
-        values = {"attempt": attempt_id, "held_token": token, "at": now(), "host": clean(host), "pid": pid}
+        values = {"attempt": attempt_id, "held_token": token, "at": self._at, "host": clean(host), "pid": pid}
         held = self._execute(_BEGAN, values).one_or_none()
         if held is None:
             raise self._refuse_attempt(attempt_id, token, "the start")
@@ -237,7 +235,7 @@ class TrialTransitions(Journal):
 
     def beat(self, attempt_id: int, token: int) -> None:
         """Say that the attempt lives. Raises `Refused`."""
-        if self._execute(_BEAT, {"attempt": attempt_id, "held_token": token, "at": now()}).one_or_none() is None:
+        if self._execute(_BEAT, {"attempt": attempt_id, "held_token": token, "at": self._at}).one_or_none() is None:
             raise self._refuse_attempt(attempt_id, token, "the beat")
 
     def report(
@@ -258,12 +256,12 @@ class TrialTransitions(Journal):
             "to_samples": int(amount("samples", samples)),
             "to_seconds": amount("seconds", seconds),
         }
-        held = self._execute(_BEAT, {"attempt": attempt_id, "held_token": token, "at": now()}).one_or_none()
+        held = self._execute(_BEAT, {"attempt": attempt_id, "held_token": token, "at": self._at}).one_or_none()
         if held is None:
             raise self._refuse_attempt(attempt_id, token, f"the report of iteration {iteration}")
         trial_id, attempt = held
         row = {"trial_id": trial_id, "iteration": iteration, "attempt": attempt, "metrics": text}
-        self._execute(_PUT_METRICS[self._connection.dialect.name], row)
+        self._collect(_PUT_METRICS[self._connection.dialect.name], row)
         trial = self._execute(_PROGRESS, {"trial": trial_id, **cost}).one()
         payload = {
             "attempt": attempt,
@@ -278,7 +276,6 @@ class TrialTransitions(Journal):
         """The attempt ended with an outcome: the trial is final and has its `position`. Raises `Refused`."""
         if result.state not in OBSERVED_TRIAL:
             raise ValueError(f"result.state: expected one of {sorted(OBSERVED_TRIAL)}, found {result.state!r}")
-        at = now()
         features = None
         if result.features is not None:
             features = encode("result.features", [float(value) for value in result.features])
@@ -290,23 +287,20 @@ class TrialTransitions(Journal):
             "to_seconds": amount("result.seconds", result.seconds),
             "to_message": clean(result.message),
             "to_details": encode("result.details", dict(result.details)),
-            "at": at,
+            "at": self._at,
         }
         trial_id, attempt = self._end(attempt_id, token, AttemptState(result.state.value), result.message, "the result")
         trial = trial_row(self._execute(_FINISH, {"trial": trial_id, **values}).one())
-        if result.artifacts:
-            rows = [
-                {
-                    "trial_id": trial_id,
-                    "name": artifact.name,
-                    "path": artifact.path,
-                    "sha256": artifact.sha256,
-                    "size": artifact.size,
-                    "created_at": at,
-                }
-                for artifact in result.artifacts
-            ]
-            self._execute(_PUT_ARTIFACTS[self._connection.dialect.name], rows)
+        for artifact in result.artifacts:
+            row = {
+                "trial_id": trial_id,
+                "name": artifact.name,
+                "path": artifact.path,
+                "sha256": artifact.sha256,
+                "size": artifact.size,
+                "created_at": self._at,
+            }
+            self._collect(_PUT_ARTIFACTS[self._connection.dialect.name], row)
         self._finished(trial, attempt)
         return trial
 
@@ -324,7 +318,7 @@ class TrialTransitions(Journal):
 
     def give_up(self, trial_id: int, drive_token: int, message: str) -> TrialRow:
         """A `queued` trial out of retries becomes `failed`, with its `position`. Raises `Refused`."""
-        values = {"trial": trial_id, "held_token": drive_token, "to_message": clean(message), "at": now()}
+        values = {"trial": trial_id, "held_token": drive_token, "to_message": clean(message), "at": self._at}
         row = self._execute(_GIVE_UP, values).one_or_none()
         if row is None:
             raise self._refuse_trial(trial_id, drive_token, "giving up", "queued")
@@ -334,12 +328,12 @@ class TrialTransitions(Journal):
 
     def cancel_trial(self, trial_id: int, drive_token: int, reason: str) -> TrialRow:
         """An open trial becomes `cancelled`, a running attempt with it. Raises `Refused`."""
-        at, why = now(), clean(reason)
-        values = {"trial": trial_id, "held_token": drive_token, "to_message": why, "at": at}
+        why = clean(reason)
+        values = {"trial": trial_id, "held_token": drive_token, "to_message": why, "at": self._at}
         row = self._execute(_CANCEL, values).one_or_none()
         if row is None:
             raise self._refuse_trial(trial_id, drive_token, "the cancellation", "queued or running")
-        self._execute(_CANCEL_ATTEMPT, {"trial": trial_id, "at": at, "why": why})
+        self._execute(_CANCEL_ATTEMPT, {"trial": trial_id, "at": self._at, "why": why})
         trial = trial_row(row)
         self._finished(trial, None)
         return trial
@@ -357,7 +351,7 @@ class TrialTransitions(Journal):
             "attempt": attempt_id,
             "held_token": token,
             "to_state": state.value,
-            "at": now(),
+            "at": self._at,
             "why": clean(reason),
         }
         held = self._execute(_END_ATTEMPT, values).one_or_none()

@@ -3,15 +3,17 @@ import math
 import gymnasium
 import numpy as np
 import pytest
+import scipy.stats
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.workers.toy_environments import Choice, Target, ToyProblem, job, settings
 from workers.contracts import BadJob, Interrupted
+from workers.learning.learner import Batch, Learner, advantages, discounted_returns, stream
 from workers.learning.networks import Network
 from workers.learning.policy import ActionMap
-from workers.learning.ppo import Batch, Learner, advantages, discounted_returns, stream, train
+from workers.learning.ppo import train
 from workers.learning.problem import Diverged
 from workers.learning.rollout import Episode
 from workers.local_context import LocalContext
@@ -115,7 +117,7 @@ def test_updates_end_early_where_the_policy_has_moved_too_far():
     for stop in (1e-9, 1e9):
         subject = learner(kl_stop=stop, epochs=5, minibatch=16)
         subject.update(a_batch(16, torch.linspace(-1, 1, 16)), 1, np.random.default_rng(0))
-        steps.append(int(subject.actor.optimiser.state_dict()["state"][0]["step"]))
+        steps.append(subject.actor.steps)
     assert steps == [2, 5]  # the first step leaves the sampling policy, the second epoch sees it
 
 
@@ -126,11 +128,13 @@ def test_annealed_exploration_falls_on_a_straight_line_and_stays():
 
 def test_learnt_exploration_is_the_derivative_of_a_normal_density():
     subject = learner(sigma="learnt", sigma_start=0.4)
-    observations, actions = torch.randn(6, 2), torch.randn(6, 1)
-    found, _ = subject._log_probability(observations, actions, torch.tensor([0.4]))
-    mean = subject.actor(observations)
-    expected = torch.distributions.Normal(mean, 0.4).log_prob(actions).sum(1) + 0.5 * math.log(2 * math.pi)
-    torch.testing.assert_close(found, expected)
+    rng = np.random.default_rng(3)
+    observations, actions = (torch.tensor(rng.normal(size=(6, n)), dtype=torch.float32) for n in (2, 1))
+    found, entropy = subject._log_probability(observations, actions, torch.tensor([0.4]))
+    mean = subject.actor(observations).detach().numpy()
+    expected = scipy.stats.norm.logpdf(actions.numpy(), mean, 0.4).sum(1) + 0.5 * math.log(2 * math.pi)
+    np.testing.assert_allclose(found.detach().numpy(), expected, rtol=1e-5)
+    assert entropy.item() == pytest.approx(scipy.stats.norm.entropy(scale=0.4) - 0.5 * math.log(2 * math.pi * math.e))
 
 
 def test_choices_are_drawn_as_often_as_their_probabilities_say():
@@ -328,17 +332,50 @@ def test_a_training_that_has_just_ended_is_not_interrupted(tmp_path):
 
 def test_a_checkpoint_of_another_network_is_refused(tmp_path):
     train(job(), LocalContext(tmp_path), ToyProblem(), settings(1))
-    with pytest.raises(BadJob, match=r"checkpoint: expected actor.0 of shape \(2, 5\), found \(2, 8\)"):
+    message = r"checkpoint: expected the actor to have layers of \(2, 5, 1\) and 21 numbers, found \(2, 8, 1\) and 33"
+    with pytest.raises(BadJob, match=message):
         train(job(), LocalContext(tmp_path), ToyProblem(), settings(2, network={"hidden": [5]}))
 
 
-def test_a_network_read_back_descends_as_the_one_written():
-    def network(seed):
-        rng = np.random.default_rng(seed)
-        return Network("n", (2, 4, 1), "tanh", rate=0.1, weight_decay=0.01, rng=rng, sigma_start=0.5)
+def a_network(seed=0, *, weight_decay=0.0, sigma_start=None):
+    rng = np.random.default_rng(seed)
+    return Network("n", (2, 4, 1), "tanh", rate=0.1, weight_decay=weight_decay, rng=rng, sigma_start=sigma_start)
 
-    first, second = network(0), network(1)
-    x = torch.randn(5, 2)
+
+@pytest.mark.parametrize("weight_decay", [0.0, 0.3])
+@pytest.mark.parametrize("grad_norm", [0.05, 100.0])
+def test_a_step_of_ours_is_a_step_of_torchs_adam(weight_decay, grad_norm):
+    ours = a_network(weight_decay=weight_decay, sigma_start=0.5)
+    theirs = [p.detach().clone().requires_grad_() for p in ours.parameters]
+    optimiser = torch.optim.AdamW(theirs, lr=0.1, weight_decay=weight_decay)
+
+    def loss(parameters, x):
+        w0, b0, w1, b1, log_sigma = parameters
+        return ((torch.tanh(x @ w0 + b0) @ w1 + b1) * log_sigma.exp()).square().mean()
+
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        x = torch.tensor(rng.normal(size=(6, 2)), dtype=torch.float32)
+        ours.descend((ours(x) * ours.log_sigma.exp()).square().mean(), grad_norm)
+        optimiser.zero_grad()
+        loss(theirs, x).backward()
+        torch.nn.utils.clip_grad_norm_(theirs, grad_norm)
+        optimiser.step()
+        for mine, other in zip(ours.parameters, theirs, strict=True):
+            torch.testing.assert_close(mine, other, rtol=1e-4, atol=1e-5)
+
+
+def test_the_numpy_view_of_a_network_follows_its_weights():
+    subject = a_network()
+    view, snapshot = subject.view(), subject.snapshot()
+    subject.descend(subject(torch.ones(1, 2)).sum(), 1.0)
+    assert not np.array_equal(view[0][0], snapshot[0][0])
+    assert np.array_equal(view[0][0], subject.parameters[0].detach().numpy())
+
+
+def test_a_network_read_back_descends_as_the_one_written():
+    first, second = (a_network(seed, weight_decay=0.01, sigma_start=0.5) for seed in (0, 1))
+    x = torch.tensor(np.random.default_rng(2).normal(size=(5, 2)), dtype=torch.float32)
     first.descend(first(x).square().mean() + first.log_sigma.sum(), 1.0)
     second.load(first.tensors())
     for subject in (first, second):

@@ -1,6 +1,9 @@
-"""Perceptrons in torch with their optimisers, as plain tensors in and out.
+"""Perceptrons in torch with their optimiser, as plain tensors in and out.
 
-Weights lie ``[fan_in, fan_out]``, so that the numpy inference of a rollout sees torch's own memory, always current.
+All of a network's numbers lie in one vector, so that a gradient step is a handful of operations however many layers
+there are. torch's own optimisers are not used: making the first one imports its compiler, two seconds of every worker
+process. Weights lie ``[fan_in, fan_out]``, so that the numpy inference of a rollout sees torch's own memory, always
+current.
 """
 
 from __future__ import annotations
@@ -17,16 +20,19 @@ from numpy.typing import NDArray
 from workers.contracts import BadJob
 from workers.learning.policy import Activation, Layers
 
+BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
+"""Of Adam, as its paper recommends (Kingma and Ba 2015, algorithm 1)."""
+
 
 class Network:
-    """A perceptron and its Adam (decoupled weight decay; Loshchilov and Hutter 2019).
+    """A perceptron and its Adam, with decoupled weight decay (Loshchilov and Hutter 2019, algorithm 2).
 
     Args:
         name: prefix of its tensors in a checkpoint, and in messages.
         sizes: input, hidden layers, output.
         activation: of the hidden layers.
         rate: learning rate.
-        weight_decay: of the optimiser.
+        weight_decay: share of a weight that a step with rate 1 would take away.
         rng: for the initial weights: uniform within 1 / sqrt(fan_in), as torch's own linear layers.
         last_scale: factor on the last layer's weights; a small one makes all first actions alike.
         sigma_start: where given, one learnt standard deviation for each output, from this start.
@@ -44,22 +50,30 @@ class Network:
         last_scale: float = 1.0,
         sigma_start: float | None = None,
     ) -> None:
-        self.name = name
-        self.activation = activation
-        self.parameters: list[torch.nn.Parameter] = []
+        self.name, self.sizes, self.activation = name, tuple(sizes), activation
+        self.rate, self.weight_decay = rate, weight_decay
+        initial: list[NDArray[np.float64]] = []
         for fan_in, fan_out in itertools.pairwise(sizes):
             bound = 1 / math.sqrt(fan_in)
-            weight, bias = rng.uniform(-bound, bound, (fan_in, fan_out)), rng.uniform(-bound, bound, fan_out)
-            self.parameters += [_parameter(weight), _parameter(bias)]
-        with torch.no_grad():
-            self.parameters[-2].mul_(last_scale)
-            self.parameters[-1].zero_()
-        self.layers = list(zip(self.parameters[::2], self.parameters[1::2], strict=True))
-        self.log_sigma: torch.nn.Parameter | None = None
+            initial += [rng.uniform(-bound, bound, (fan_in, fan_out)), rng.uniform(-bound, bound, fan_out)]
+        initial[-2] *= last_scale
+        initial[-1][:] = 0
         if sigma_start is not None:
-            self.log_sigma = _parameter(np.full(sizes[-1], math.log(sigma_start)))
-            self.parameters.append(self.log_sigma)
-        self.optimiser = torch.optim.AdamW(self.parameters, lr=rate, weight_decay=weight_decay, fused=True)
+            initial.append(np.full(sizes[-1], math.log(sigma_start)))
+        self.vector = torch.tensor(np.concatenate([part.ravel() for part in initial]), dtype=torch.float32)
+        self.gradient, self.m, self.v = (torch.zeros_like(self.vector) for _ in range(3))
+        self.steps = 0
+        self.parameters: list[torch.Tensor] = []
+        start = 0
+        for part in initial:
+            inside = slice(start, start + part.size)
+            parameter = self.vector[inside].view(part.shape).requires_grad_()
+            parameter.grad = self.gradient[inside].view(part.shape)
+            self.parameters.append(parameter)
+            start += part.size
+        self.log_sigma = None if sigma_start is None else self.parameters[-1]
+        depth = len(sizes) - 1
+        self.layers = list(zip(self.parameters[0 : 2 * depth : 2], self.parameters[1 : 2 * depth : 2], strict=True))
 
     def __call__(self, x: torch.Tensor) -> torch.Tensor:
         """Output ``[n, fan_out]`` for inputs ``[n, fan_in]``."""
@@ -70,15 +84,23 @@ class Network:
         return torch.addmm(bias, x, weight)
 
     def descend(self, loss: torch.Tensor, grad_norm: float) -> None:
-        """One gradient step, the gradient shortened to `grad_norm`."""
-        self.optimiser.zero_grad()
+        """One step of Adam, the gradient shortened to `grad_norm`."""
+        g = self.gradient.zero_()
         loss.backward()  # type: ignore[no-untyped-call] # torch annotates its arguments, not its result
-        torch.nn.utils.clip_grad_norm_(self.parameters, grad_norm)
-        self.optimiser.step()
+        length = float(torch.linalg.vector_norm(g))
+        if length > grad_norm:
+            g.mul_(grad_norm / length)
+        self.steps += 1
+        self.vector.mul_(1 - self.rate * self.weight_decay)
+        self.m.lerp_(g, 1 - BETA_1)
+        self.v.mul_(BETA_2).addcmul_(g, g, value=1 - BETA_2)
+        # 2015, algorithm 1: both averages begin at zero, and are divided by the weight they have gathered.
+        denominator = self.v.sqrt().div_(math.sqrt(1 - BETA_2**self.steps)).add_(EPSILON)
+        self.vector.addcdiv_(self.m, denominator, value=-self.rate / (1 - BETA_1**self.steps))
 
     def finite(self) -> bool:
         """Whether all weights are."""
-        return all(bool(torch.isfinite(p).all()) for p in self.parameters)
+        return bool(torch.isfinite(self.vector).all())
 
     def view(self) -> Layers:
         """The layers as numpy, sharing memory."""
@@ -90,41 +112,28 @@ class Network:
 
     def put(self, layers: Layers) -> None:
         """Take over layers of the same sizes."""
-        with torch.no_grad():
-            for (weight, bias), (new_weight, new_bias) in zip(self.layers, layers, strict=True):
-                weight.copy_(torch.tensor(new_weight))
-                bias.copy_(torch.tensor(new_bias))
+        for (weight, bias), (new_weight, new_bias) in zip(self.view(), layers, strict=True):
+            weight[:], bias[:] = new_weight, new_bias
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """Weights and optimiser moments by dotted name, copied."""
-        found = {f"{self.name}.{i}": p.detach().numpy().copy() for i, p in enumerate(self.parameters)}
-        for i, moments in self.optimiser.state_dict()["state"].items():
-            for key, value in moments.items():
-                found[f"{self.name}.adam.{i}.{key}"] = value.numpy().copy()
-        return found
+        moments = {"vector": self.vector, "m": self.m, "v": self.v}
+        found: dict[str, NDArray[Any]] = {f"{self.name}.{k}": t.numpy().copy() for k, t in moments.items()}
+        return found | {f"{self.name}.sizes": np.array(self.sizes), f"{self.name}.steps": np.array(self.steps)}
 
     def load(self, tensors: Mapping[str, NDArray[Any]]) -> None:
         """Continue from what `tensors` gave. Raises `BadJob` where it is of other sizes.
 
-        The parameters keep their memory: where it is aligned can decide the last bit of a matrix product.
+        The vectors keep their memory: where it is aligned can decide the last bit of a matrix product.
         """
-        moments: dict[int, dict[str, torch.Tensor]] = {}
-        prefix = f"{self.name}.adam."
-        for name, value in tensors.items():
-            if name.startswith(prefix):
-                index, key = name.removeprefix(prefix).split(".")
-                moments.setdefault(int(index), {})[key] = torch.tensor(value)
-        with torch.no_grad():
-            for i, parameter in enumerate(self.parameters):
-                weights = tensors.get(f"{self.name}.{i}")
-                if weights is None or weights.shape != tuple(parameter.shape):
-                    raise BadJob(
-                        f"checkpoint: expected {self.name}.{i} of shape {tuple(parameter.shape)}, found "
-                        f"{'nothing' if weights is None else weights.shape}; it is of another network"
-                    )
-                parameter.copy_(torch.tensor(weights))
-        self.optimiser.load_state_dict({**self.optimiser.state_dict(), "state": moments})
-
-
-def _parameter(value: NDArray[np.float64]) -> torch.nn.Parameter:
-    return torch.nn.Parameter(torch.tensor(value, dtype=torch.float32))
+        sizes = tensors.get(f"{self.name}.sizes")
+        found = None if sizes is None else tuple(int(size) for size in sizes)
+        length = 0 if found is None else len(tensors[f"{self.name}.vector"])
+        if found != self.sizes or length != len(self.vector):
+            raise BadJob(
+                f"checkpoint: expected the {self.name} to have layers of {self.sizes} and {len(self.vector)} numbers, "
+                f"found {found} and {length}; it is of a training with other settings"
+            )
+        for name, mine in (("vector", self.vector), ("m", self.m), ("v", self.v)):
+            mine.numpy()[:] = tensors[f"{self.name}.{name}"]
+        self.steps = int(tensors[f"{self.name}.steps"])
