@@ -12,6 +12,7 @@ Events, and what their payload holds (`trial` is the trial's number; studies' ow
 | `deleted` | study | `study` (name) |
 | `proposed` | study | `proposal` (id), `strategy`, `trials` (numbers) |
 | `started` | trial | `attempt`, `worker`, `host` |
+| `began` | trial | `attempt`, `host`, `pid` of the worker process |
 | `progress` | trial | `attempt`, `iteration`, `metrics`, `samples`, `seconds` |
 | `lost`, `failed`, `preempted` | trial | `attempt`, `reason`, `retries`; the trial is queued again |
 | `finished` | trial | `state`, `position`, `value`, `features`, `samples`, `seconds`, `message`, `attempt`; final |

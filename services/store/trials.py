@@ -58,12 +58,14 @@ _BEAT = (
     .values(beat=attempts.c.beat + 1, beat_at=bindparam("at"))
     .returning(attempts.c.trial_id, attempts.c.number)
 )
+_BEGAN = _BEAT.values(host=bindparam("host"), pid=bindparam("pid"))
 _END_ATTEMPT = (
     update(attempts)
     .where(*_HELD)
     .values(state=bindparam("to_state"), ended_at=bindparam("at"), reason=bindparam("why"))
     .returning(attempts.c.trial_id, attempts.c.number)
 )
+_PLACE = select(trials.c.study_id, trials.c.number).where(trials.c.id == bindparam("trial"))
 _PROGRESS = (
     update(trials)
     .where(trials.c.id == bindparam("trial"))
@@ -221,6 +223,15 @@ class TrialTransitions(Journal):
         row = attempt_row(self._execute(_ADD_ATTEMPT, attempt).one())
         self._append("started", trial.study_id, trial.number, {"attempt": row.number, "worker": worker, "host": host})
         return row
+
+    def began(self, attempt_id: int, token: int, *, host: str, pid: int) -> None:
+        """A worker process has taken the attempt up. Raises the beat. Raises `Refused`."""
+        values = {"attempt": attempt_id, "held_token": token, "at": self._at, "host": clean(host), "pid": pid}
+        held = self._execute(_BEGAN, values).one_or_none()
+        if held is None:
+            raise self._refuse_attempt(attempt_id, token, "the start")
+        trial = self._execute(_PLACE, {"trial": held.trial_id}).one()
+        self._append("began", trial.study_id, trial.number, {"attempt": held.number, "host": host, "pid": pid})
 
     def beat(self, attempt_id: int, token: int) -> None:
         """Say that the attempt lives. Raises `Refused`."""

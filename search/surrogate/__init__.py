@@ -1,0 +1,1 @@
+"""Gaussian processes: kernels, posteriors, and how their hyperparameters are fitted."""

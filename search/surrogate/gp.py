@@ -1,0 +1,119 @@
+"""Exact Gaussian-process posteriors with a Matern 5/2 kernel, in numpy.
+
+Glossary: ``X`` ``n x e`` model coordinates of the data, ``Y`` ``n x k`` outputs that share one kernel, ``S`` ``m x e``
+where to predict, ``w`` ``e`` inverse length scales, ``K`` the correlation matrix with noise, ``L`` its Cholesky factor.
+Amplitudes and means are per output; the noise is relative to the amplitude.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+
+Array = NDArray[np.float64]
+
+ROOT5 = math.sqrt(5)
+JITTERS = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
+
+
+class IllConditioned(UserWarning):
+    """A correlation matrix needed more jitter than rounding explains."""
+
+
+def scaled_distance(A: Array, B: Array, w: Array) -> Array:
+    """Euclidean distances ``n x m`` after multiplying each coordinate by its inverse length scale."""
+    A, B = A * w, B * w
+    square = (A * A).sum(1)[:, None] + (B * B).sum(1)[None, :] - 2 * A @ B.T
+    return np.asarray(np.sqrt(np.maximum(square, 0.0)))
+
+
+def matern52(r: Array) -> Array:
+    """Matern 5/2 correlation of scaled distances: (1 + sqrt(5) r + 5 r^2 / 3) exp(-sqrt(5) r)."""
+    a = ROOT5 * r
+    return np.asarray((1 + a + a * a / 3) * np.exp(-a))
+
+
+def robust_cholesky(K: Array) -> Array:
+    """Lower Cholesky factor, with the least jitter from a ladder that makes it exist.
+
+    Warns:
+        IllConditioned: jitter above 1e-6 was needed.
+    """
+    for jitter in JITTERS:
+        try:
+            L = cholesky(K + jitter * np.eye(len(K)), lower=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            continue
+        if np.isfinite(L).all():
+            if jitter > 1e-6:
+                warnings.warn(f"a correlation matrix needed jitter {jitter:g}", IllConditioned, stacklevel=2)
+            return np.asarray(L)
+    warnings.warn("a correlation matrix could not be factored; its data are ignored", IllConditioned, stacklevel=2)
+    return np.eye(len(K)) * 1e6
+
+
+class GaussianProcess:
+    """The posterior of ``k`` outputs that share kernel and noise.
+
+    Args:
+        X: ``n x e``; n may be 0.
+        Y: ``n x k``.
+        w: ``e`` inverse length scales.
+        amplitude: ``k`` prior standard deviations.
+        noise: variance of the noise as a fraction of the amplitude's square; scalar or ``n``.
+        mean: ``k`` prior means.
+    """
+
+    def __init__(self, X: Array, Y: Array, w: Array, amplitude: Array, noise: float | Array, mean: Array) -> None:
+        self.X, self.Y, self.w = X, Y, w
+        self.amplitude, self.mean = amplitude, mean
+        self.noise = np.broadcast_to(np.asarray(noise, dtype=float), (len(X),))
+        K = matern52(scaled_distance(X, X, w))
+        K[np.diag_indices_from(K)] = 1.0 + self.noise
+        self.L = robust_cholesky(K) if len(X) else np.empty((0, 0))
+        self.alpha = self._solve(Y - mean)
+
+    def _solve(self, B: Array) -> Array:
+        """K^-1 B, ``n x k``."""
+        return np.asarray(cho_solve((self.L, True), B, check_finite=False)) if len(self.X) else B
+
+    def correlation(self, S: Array) -> Array:
+        """Prior correlation with the data, ``m x n``."""
+        return matern52(scaled_distance(S, self.X, self.w))
+
+    def posterior(self, S: Array) -> tuple[Array, Array]:
+        """Mean ``m x k`` and latent variance relative to the amplitude's square, ``m``."""
+        if not len(self.X):
+            return np.tile(self.mean, (len(S), 1)), np.ones(len(S))
+        k = self.correlation(S)
+        V = solve_triangular(self.L, k.T, lower=True, check_finite=False)
+        return k @ self.alpha + self.mean, np.maximum(1 - (V * V).sum(0), 1e-12)
+
+    def gradient(self, s: Array) -> tuple[Array, float, Array, Array]:
+        """At one point ``e``: mean ``k``, relative variance, and their gradients ``k x e`` and ``e``."""
+        if not len(self.X):
+            return self.mean, 1.0, np.zeros((len(self.mean), len(s))), np.zeros(len(s))
+        r = scaled_distance(s[None, :], self.X, self.w)[0]
+        k = matern52(r)
+        # dk/ds = -(5/3) (1 + sqrt(5) r) exp(-sqrt(5) r) w^2 (s - x)
+        slope = -(5 / 3) * (1 + ROOT5 * r) * np.exp(-ROOT5 * r)
+        dk = slope[:, None] * (s - self.X) * (self.w * self.w)
+        beta = self._solve(k[:, None])[:, 0]
+        variance = max(1 - float(k @ beta), 1e-12)
+        return self.mean + k @ self.alpha, variance, self.alpha.T @ dk, -2 * beta @ dk
+
+    def with_data(self, X: Array, Y: Array, noise: float | Array) -> GaussianProcess:
+        """The same hyperparameters with more data, ``p x e`` and ``p x k``."""
+        more = np.broadcast_to(np.asarray(noise, dtype=float), (len(X),))
+        return GaussianProcess(
+            np.concatenate([self.X, X]),
+            np.concatenate([self.Y, Y]),
+            self.w,
+            self.amplitude,
+            np.concatenate([self.noise, more]),
+            self.mean,
+        )

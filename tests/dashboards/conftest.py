@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+import shutil
+import socket
+import threading
+import time
+
+import pytest
+import uvicorn
+from playwright.sync_api import sync_playwright
+
+from dashboards.app import create_app
+from services.api.submission import submit_to
+from services.artifacts import open_artifacts
+from services.store.open import open_store
+
+TOKEN = "a-token-for-tests-only"
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FLAGS = [
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]  # fmt: skip
+
+
+class Service:
+    """A real server over a real database, on a free port of this machine."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.artifacts = open_artifacts(folder / "artifacts")
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        self.url = f"http://127.0.0.1:{self.port}"
+
+    def start(self, database="halma.db"):
+        self.store = open_store(self.folder / database)
+        app = create_app(self.store, self.artifacts, token=TOKEN, submit=submit_to(self.store))
+        config = uvicorn.Config(app, host="127.0.0.1", port=self.port, log_level="warning", ws="websockets-sansio")
+        self.server = uvicorn.Server(config)
+        self.thread = threading.Thread(target=self.server.run, daemon=True)
+        self.thread.start()
+        while not self.server.started:
+            assert self.thread.is_alive()
+            time.sleep(0.01)
+        return self
+
+    def stop(self):
+        self.server.should_exit = True
+        self.thread.join(20)
+        assert not self.thread.is_alive()
+        self.store.close()
+
+
+@pytest.fixture
+def service(tmp_path):
+    running = Service(tmp_path).start()
+    yield running
+    running.stop()
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    if CHROMIUM is None:
+        pytest.fail("these tests drive a real browser: expected chromium on the PATH, found none; install it")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+class Watched:
+    """A page whose console, errors and requests are kept."""
+
+    def __init__(self, context, url):
+        self.url = url
+        self.page = context.new_page()
+        self.requests = []
+        self.complaints = []
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.on("websocket", lambda socket: self.requests.append(socket.url))
+        self.page.on(
+            "console", lambda message: message.type in {"error", "warning"} and self.complaints.append(message.text)
+        )
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+
+    def open(self, path):
+        self.page.goto(self.url + path)
+        return self.page
+
+    def assert_calm(self, but=()):
+        """Nothing was asked of another host, and the console is empty (so no violation of the policy either)."""
+        own = self.url.removeprefix("http://")
+        foreign = [
+            url for url in self.requests if not url.startswith((f"http://{own}/", f"ws://{own}/", "data:", "blob:"))
+        ]
+        assert foreign == []
+        assert [text for text in self.complaints if not any(part in text for part in but)] == []
+
+
+@pytest.fixture
+def anyone(service, chromium):
+    """A browser that is not logged in."""
+    context = chromium.new_context(viewport={"width": 1280, "height": 900}, color_scheme="light")
+    yield Watched(context, service.url)
+    context.close()
+
+
+def log_in(watched):
+    watched.open("/login")
+    watched.page.fill("#token", TOKEN)
+    watched.page.click("button[type=submit]")
+    watched.page.wait_for_selector("#studies, #nothing:not([hidden])", state="attached")
+
+
+@pytest.fixture
+def browser(anyone):
+    """A browser that is logged in."""
+    log_in(anyone)
+    return anyone
