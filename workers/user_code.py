@@ -33,6 +33,19 @@ class TaskImportFailed(BadJob):
         self.trace = trace
 
 
+class EnvironmentFailed(BadJob):
+    """The user's environment raised while it was made.
+
+    Args:
+        name: the task as the study file writes it.
+        trace: the user's traceback, our frames left out.
+    """
+
+    def __init__(self, name: str, trace: str) -> None:
+        super().__init__(f"task {name!r}: its environment could not be made\n{trace}")
+        self.trace = trace
+
+
 def user_traceback(error: BaseException) -> str:
     """The traceback of an error in the user's code, without our frames and without those of the import system."""
     report = traceback.TracebackException.from_exception(error)

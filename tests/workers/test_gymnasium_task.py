@@ -12,7 +12,7 @@ from workers.learning.ppo import POLICY_ARTIFACT
 from workers.learning.problem import Diverged
 from workers.local_context import LocalContext
 from workers.tasks.gymnasium_task import DEFAULTS, GymnasiumTask, Renewed, from_class, registered
-from workers.user_code import UnknownTask
+from workers.user_code import EnvironmentFailed, UnknownTask
 
 QUICK = {"budget": {"iterations": 2}, "network": {"hidden": [8]}, "ppo": {"samples": 60, "environments": 2}}
 FACING = {"kind": "circle", "names": ["facing"], "distinct": 0.5}
@@ -247,6 +247,19 @@ def test_validation_looks_at_the_spaces():
         BadJob, match=r"expected a Box of one dimension or a Discrete as action space, found MultiBinary"
     ):
         from_class("m:Odd", odd).validate({}, {}, [])
+
+
+def test_an_environment_that_cannot_be_made_is_told_by_the_users_traceback():
+    class Grumpy(Target):
+        def __init__(self):
+            raise OSError("no display")
+
+    with pytest.raises(EnvironmentFailed) as refusal:
+        from_class("m:Grumpy", Grumpy).validate({}, {}, [])
+    lines = str(refusal.value).splitlines()
+    assert lines[0] == "task 'm:Grumpy': its environment could not be made"
+    assert lines[-1] == "OSError: no display"
+    assert "workers/tasks" not in refusal.value.trace
 
 
 def test_an_argument_without_default_is_left_to_the_space(tmp_path):

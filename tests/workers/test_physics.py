@@ -7,7 +7,7 @@ import pytest
 from workers.physics import clips
 from workers.physics.athlete import COORDINATES, HIGH, JOINTS, LOW, TORQUE
 from workers.physics.rotations import from_rotation_vector
-from workers.physics.world import FRAME, GRAVITY, SUBSTEP, World
+from workers.physics.world import FRAME, GRAVITY, LOADED_STEPS, World
 
 RUN = clips.load("run").pose[1]
 
@@ -47,14 +47,14 @@ def test_free_flight_keeps_momentum_however_the_joints_are_driven(world):
         world.advance()
     t = 72 * FRAME
     expected = start + velocity * t - [0, GRAVITY * t * t / 2, 0]
-    assert athlete.centre_of_mass(athlete.links()) == pytest.approx(expected, abs=0.01)
+    assert athlete.centre_of_mass(athlete.links()) == pytest.approx(expected, abs=0.02)
 
 
 def test_without_torque_a_command_moves_nothing():
     def bent(limit):
         world = World()
         athlete = world.athlete
-        athlete._forces = [[limit] * len(f) for f in athlete._forces]
+        athlete._muscles = [[limit] * len(f) for f in athlete._muscles]
         athlete.place([0, 50, 0], [0, 0, 0, 1])
         athlete.bend(RUN, np.zeros(COORDINATES))
         athlete.push([0, 0, 0], [0, 0, 0])
@@ -69,8 +69,8 @@ def test_without_torque_a_command_moves_nothing():
     assert 1e-3 < bent(0.5) < bent(50.0)
 
 
-@pytest.mark.parametrize(("dt", "stride", "tolerance"), [(SUBSTEP, 1, 1e-5), (FRAME, 5, 1e-3)])
-def test_the_torques_told_are_those_that_bullet_applies(world, dt, stride, tolerance):
+@pytest.mark.parametrize(("dt", "in_flight", "tolerance"), [(FRAME / LOADED_STEPS, False, 1e-5), (FRAME, True, 1e-3)])
+def test_the_torques_told_are_those_that_bullet_applies(world, dt, in_flight, tolerance):
     """Setting them as plain torques moves the athlete as stable PD control does; some of them are at their limit."""
     athlete = world.athlete
     target = RUN + 0.3 * np.random.default_rng(3).normal(size=COORDINATES)
@@ -79,7 +79,7 @@ def test_the_torques_told_are_those_that_bullet_applies(world, dt, stride, toler
         throw(world, np.random.default_rng(4))
         athlete.links()
         athlete.command(target)
-        world._set_stride(stride)
+        world._set_flight(in_flight=in_flight)
 
     prepare()
     athlete.actuate(watch_limits=False)
@@ -134,7 +134,7 @@ def test_the_legs_do_not_pass_through_each_other(world):
     right, left = (links[athlete.names.index(name), 2] for name in ("right_knee", "left_knee"))
     assert touched
     assert right > left
-    assert deepest < 0.02
+    assert deepest < 0.03
 
 
 def test_a_rebuilt_world_repeats_a_new_one_bit_for_bit():

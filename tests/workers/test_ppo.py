@@ -3,6 +3,7 @@ import math
 import gymnasium
 import numpy as np
 import pytest
+import scipy.stats
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
@@ -127,11 +128,13 @@ def test_annealed_exploration_falls_on_a_straight_line_and_stays():
 
 def test_learnt_exploration_is_the_derivative_of_a_normal_density():
     subject = learner(sigma="learnt", sigma_start=0.4)
-    observations, actions = torch.randn(6, 2), torch.randn(6, 1)
-    found, _ = subject._log_probability(observations, actions, torch.tensor([0.4]))
-    mean = subject.actor(observations)
-    expected = torch.distributions.Normal(mean, 0.4).log_prob(actions).sum(1) + 0.5 * math.log(2 * math.pi)
-    torch.testing.assert_close(found, expected)
+    rng = np.random.default_rng(3)
+    observations, actions = (torch.tensor(rng.normal(size=(6, n)), dtype=torch.float32) for n in (2, 1))
+    found, entropy = subject._log_probability(observations, actions, torch.tensor([0.4]))
+    mean = subject.actor(observations).detach().numpy()
+    expected = scipy.stats.norm.logpdf(actions.numpy(), mean, 0.4).sum(1) + 0.5 * math.log(2 * math.pi)
+    np.testing.assert_allclose(found.detach().numpy(), expected, rtol=1e-5)
+    assert entropy.item() == pytest.approx(scipy.stats.norm.entropy(scale=0.4) - 0.5 * math.log(2 * math.pi * math.e))
 
 
 def test_choices_are_drawn_as_often_as_their_probabilities_say():
@@ -372,7 +375,7 @@ def test_the_numpy_view_of_a_network_follows_its_weights():
 
 def test_a_network_read_back_descends_as_the_one_written():
     first, second = (a_network(seed, weight_decay=0.01, sigma_start=0.5) for seed in (0, 1))
-    x = torch.randn(5, 2)
+    x = torch.tensor(np.random.default_rng(2).normal(size=(5, 2)), dtype=torch.float32)
     first.descend(first(x).square().mean() + first.log_sigma.sum(), 1.0)
     second.load(first.tensors())
     for subject in (first, second):

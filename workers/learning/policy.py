@@ -1,7 +1,7 @@
 """A learnt policy at rest and at work: safetensors in and out, a deterministic action for an observation.
 
-Inference is plain numpy: for the batches of a rollout (1 to 16 observations) it takes two thirds of the time that
-torch does (`benchmarks/ppo.py`).
+Inference is plain numpy: for the batches of a rollout (1 to 16 observations) it takes less than half the time that
+torch's modules do (`benchmarks/ppo.py`).
 """
 
 from __future__ import annotations
@@ -38,6 +38,13 @@ def forward(layers: Layers, x: NDArray[np.float32], activation: Activation) -> N
     return x @ weight + bias
 
 
+def _clipped(x: NDArray[np.float32], low: Any, high: Any) -> NDArray[np.float32]:
+    """`np.clip` in place, without its checks, which take longer than the work for a single observation."""
+    np.maximum(x, low, out=x)
+    np.minimum(x, high, out=x)
+    return x
+
+
 @dataclass(frozen=True, slots=True)
 class ActionMap:
     """From the network's output to the environment's actions.
@@ -69,8 +76,7 @@ class ActionMap:
 
     def to_environment(self, output: NDArray[np.float32]) -> NDArray[np.float32]:
         """Continuous actions ``[..., size]`` in the environment's units, within its bounds."""
-        clipped: NDArray[np.float32] = np.clip(self.offset + self.scale * output, self.low, self.high)
-        return clipped
+        return _clipped(self.offset + self.scale * output, self.low, self.high)
 
     def to_json(self) -> dict[str, JSON]:
         """Bounds that are infinite become null: JSON has no infinity."""
@@ -100,7 +106,7 @@ class ActionMap:
 
 @dataclass(frozen=True, slots=True)
 class Normaliser:
-    """Observation statistics: (o - mean) / sqrt(var), clipped.
+    """Observation statistics: (o - mean) / sqrt(var + 1e-6), clipped. The 1e-6 keeps constant coordinates at 0.
 
     Args:
         mean, var: of each coordinate ``[observation]``, float64.
@@ -112,6 +118,10 @@ class Normaliser:
     var: NDArray[np.float64]
     count: float
     clip: float = 8.0
+    scale: NDArray[np.float64] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scale", 1 / np.sqrt(self.var + 1e-6))  # once, not for each step of a rollout
 
     @classmethod
     def identity(cls, size: int, clip: float = 8.0) -> Normaliser:
@@ -119,9 +129,9 @@ class Normaliser:
         return cls(np.zeros(size), np.ones(size), 0.0, clip)
 
     def __call__(self, observations: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Normalised observations ``[..., observation]``. 1e-6 keeps constant coordinates at 0."""
-        normalised = (observations - self.mean) / np.sqrt(self.var + 1e-6)
-        return np.clip(normalised, -self.clip, self.clip).astype(np.float32)
+        """Normalised observations ``[..., observation]``."""
+        normalised: NDArray[np.float32] = ((observations - self.mean) * self.scale).astype(np.float32)
+        return _clipped(normalised, -self.clip, self.clip)
 
     def updated(self, observations: NDArray[np.float64]) -> Normaliser:
         """With ``[n, observation]`` more (Chan, Golub and LeVeque 1983, equation 2.1)."""

@@ -15,7 +15,7 @@ import imageio.v3 as imageio
 import numpy as np
 import pybullet as bullet
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
 from workers.contracts import BadJob
 from workers.physics.athlete import Athlete
@@ -154,35 +154,6 @@ def render_video(
     # the last picture stays for half a second
     pictures += [pictures[-1]] * (rate // 2)
     return _gif(pictures, rate) if kind == "gif" else _mp4(pictures, rate)
-
-
-def contact_sheet(pictures: Sequence[tuple[bytes, str]], columns: int = 4) -> bytes:
-    """A PNG that shows PNGs in a grid, each over its caption (which may have several lines).
-
-    Args:
-        pictures: (PNG, caption), all of one size; at least one.
-        columns: at most so many beside each other.
-    """
-    if not pictures:
-        raise BadJob("contact sheet: expected at least one picture, found none")
-    images = [Image.open(io.BytesIO(data)).convert("RGB") for data, _ in pictures]
-    width, height = images[0].size
-    points = max(12, width // 30)
-    font = ImageFont.load_default(size=points)
-    lines = max(caption.count("\n") + 1 for _, caption in pictures)
-    caption_height = round(lines * points * 1.35) + 10
-    columns = min(columns, len(images))
-    rows = -(-len(images) // columns)
-    gap = 8
-    sheet = Image.new(
-        "RGB", (columns * (width + gap) + gap, rows * (height + caption_height + gap) + gap), (250, 250, 248)
-    )
-    draw = ImageDraw.Draw(sheet)
-    for i, (image, (_, caption)) in enumerate(zip(images, pictures, strict=True)):
-        x, y = gap + (i % columns) * (width + gap), gap + (i // columns) * (height + caption_height + gap)
-        sheet.paste(image, (x, y))
-        draw.multiline_text((x + 4, y + height + 4), caption, fill=(30, 30, 30), font=font)
-    return _encoded(sheet)
 
 
 def _png(picture: Picture) -> bytes:

@@ -35,7 +35,7 @@ from workers.learning.problem import Curriculum, Diverged, Trained
 from workers.learning.rollout import Episode, NotFinite, action_map, in_words, observation_size, play
 from workers.learning.settings import Budget, NetworkSettings, PPOSettings, TrainingSettings
 from workers.tasks.features import WrongFeatures, declared_features, mean_behaviour, read_behaviour
-from workers.user_code import UnknownTask, import_module, suggestion
+from workers.user_code import EnvironmentFailed, UnknownTask, import_module, suggestion, user_traceback
 
 Env = gymnasium.Env[Any, Any]
 
@@ -177,12 +177,21 @@ class GymnasiumTask:
             self._check_name(name)
         needed = {p.name for p in _constructor(self._make) if p.default is p.empty and p.name in self._arguments}
         if needed <= {*read.arguments, "z"} | ({read.difficulty.argument} if read.difficulty else set()):
-            env = self._maker(read, {}, None)()
+            env = self._first(self._maker(read, {}, None))
             try:
                 observation_size(env)
                 action_map(env)
             finally:
                 env.close()
+
+    def _first(self, make: Callable[[], Env]) -> Env:
+        """An environment to look at. Raises `EnvironmentFailed` with the user's traceback."""
+        try:
+            return make()
+        except BadJob:
+            raise
+        except Exception as error:  # noqa: BLE001 - the user's code may raise anything, and it is told to the user
+            raise EnvironmentFailed(self.name, user_traceback(error)) from None
 
     def run(self, job: Job, context: Context) -> Outcome:
         """Train, then play deterministic episodes; their mean return is the value."""

@@ -36,7 +36,7 @@ _RATE_BOUND = 20.0
 PARAMETERS: Mapping[str, ParameterSpec] = {
     "alpha": ParameterSpec("float", 0.4, 2.0, unit="rad"),
     "omega_x": ParameterSpec("float", -3.0, 2.0, unit="rad/s"),
-    "omega_z": ParameterSpec("float", -2.0, 2.0, unit="rad/s"),
+    "omega_z": ParameterSpec("float", -3.0, 3.0, unit="rad/s"),
     "v_z": ParameterSpec("float", -2.5, -0.5, unit="m/s"),
 }
 
