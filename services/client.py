@@ -12,8 +12,8 @@ from services.address import read_server
 from services.errors import BadInput, HalmaError, NameTaken
 from services.settings import Settings
 
-TIMEOUT = httpx.Timeout(30.0, connect=5.0)
-"""Seconds. The service imports a study's task to check it, which can take a while."""
+TIMEOUT = httpx.Timeout(180.0, connect=10.0)
+"""Seconds. To check its first study a service imports the task and the search: 35 s were seen on a busy machine."""
 
 
 class ServerUnavailable(BadInput):
@@ -74,6 +74,11 @@ class Client:
         except httpx.InvalidURL as error:
             raise BadInput(
                 f"--server: expected a URL such as http://127.0.0.1:8642, found {self.url} ({error})"
+            ) from None
+        except httpx.ReadTimeout:
+            raise ServerUnavailable(
+                f"expected an answer of the service at {self.url} within {TIMEOUT.read:.0f} s, found none; "
+                "see with `halma ls` whether the study was taken"
             ) from None
         except httpx.HTTPError as error:
             raise ServerUnavailable(

@@ -69,6 +69,15 @@ def test_a_service_that_does_not_answer(settings):
         client.submit("", [], "a.yaml")
 
 
+def test_a_service_that_takes_too_long_may_have_taken_the_study(settings):
+    def handle(request):
+        raise httpx.ReadTimeout("slow", request=request)
+
+    client = Client(settings, "http://127.0.0.1:9", transport=httpx.MockTransport(handle))
+    with client, pytest.raises(ServerUnavailable, match="within 180 s, found none; see with `halma ls`"):
+        client.submit("", [], "a.yaml")
+
+
 def test_a_url_without_scheme_is_refused(settings):
     with pytest.raises(BadInput, match=r"--server: expected a URL such as .*, found localhost:9"):
         Client(settings, "localhost:9")
