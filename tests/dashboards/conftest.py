@@ -1,13 +1,11 @@
 from __future__ import annotations
 
-import shutil
 import socket
 import threading
 import time
 
 import pytest
 import uvicorn
-from playwright.sync_api import sync_playwright
 
 from dashboards.app import create_app
 from services.api.submission import submit_to
@@ -15,12 +13,6 @@ from services.artifacts import open_artifacts
 from services.store.open import open_store
 
 TOKEN = "a-token-for-tests-only"
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-FLAGS = [
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-]  # fmt: skip
 
 
 class Service:
@@ -58,16 +50,6 @@ def service(tmp_path):
     running = Service(tmp_path).start()
     yield running
     running.stop()
-
-
-@pytest.fixture(scope="session")
-def chromium():
-    if CHROMIUM is None:
-        pytest.fail("these tests drive a real browser: expected chromium on the PATH, found none; install it")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield browser
-        browser.close()
 
 
 class Watched:
