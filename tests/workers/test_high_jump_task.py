@@ -175,5 +175,5 @@ def test_bad_settings_say_where_and_what(settings, training, names, section, fie
 
 def test_bars_are_tried_from_above_the_level_downwards():
     problem = task._problem(job(task_settings={"first_bar": 0.3, "bar_step": 0.05, "highest_bar": 0.6}))
-    assert problem.bars_from(0.3) == [0.55, 0.5, 0.45, 0.4, 0.35, 0.3]
+    assert problem.bars_from(0.1) == [0.5, 0.45, 0.4, 0.35, 0.3]
     assert problem.bars_from(0.55) == [0.6, 0.55, 0.5, 0.45, 0.4, 0.35, 0.3]

@@ -229,7 +229,7 @@ class Athlete:
         )
 
     def torques(self, dt: float) -> Array:
-        """Torques ``[28]`` (N m) of muscles and ligaments that Bullet applies in its next step of `dt` seconds, after `actuate`.
+        """Torques ``[28]`` (N m) of muscles and ligaments in Bullet's next step of `dt` seconds, after `actuate`.
 
         Bullet keeps them to itself, so this is stable PD control once more, in numpy and slow (Tan, Liu and Turk 2011,
         equations 3 and 4): for recordings. A test holds it against Bullet's.

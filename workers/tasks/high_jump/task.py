@@ -26,7 +26,7 @@ from workers.tasks.high_jump.settings import TRAINING, HighJumpSettings, check_p
 
 REPLAY_ARTIFACT = "replay.bin"
 POSE_ARTIFACT = "pose.png"
-_REACH = 0.25
+_REACH = 0.4
 """m above the curriculum's level that the policy is tried at: without exploration noise it jumps higher."""
 
 
