@@ -179,7 +179,7 @@ def start_ray(pools: Mapping[str, int], address: str | None = None) -> None:
                 log_to_driver=False,
                 configure_logging=False,
             )
-        except Exception as error:  # noqa: BLE001 - Ray raises a bare Exception where its processes start too slowly
+        except Exception as error:
             ray.shutdown()
             if not tries_left:
                 raise HalmaError(
