@@ -2,35 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Self
 
 import httpx
 
+from services.address import read_server
 from services.errors import BadInput, HalmaError, NameTaken
 from services.settings import Settings
 
-TIMEOUT = httpx.Timeout(30.0, connect=5.0)
-"""Seconds. The service imports a study's task to check it, which can take a while."""
-
-
-@dataclass(frozen=True, slots=True)
-class Server:
-    """A running service.
-
-    Args:
-        url: base URL, without a slash at the end.
-        pid: its process, or None where it is not on this machine.
-        database: what it works on, or empty where that isn't known.
-    """
-
-    url: str
-    pid: int | None = None
-    database: str = ""
+TIMEOUT = httpx.Timeout(180.0, connect=10.0)
+"""Seconds. To check its first study a service imports the task and the search: 35 s were seen on a busy machine."""
 
 
 class ServerUnavailable(BadInput):
@@ -39,33 +22,6 @@ class ServerUnavailable(BadInput):
 
 class ServerRefused(HalmaError):
     """The service answered, but not with what was asked for."""
-
-
-def read_server(file: Path) -> Server | None:
-    """The service that `server.json` names, if its process lives."""
-    try:
-        fields: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        server = Server(str(fields["url"]).rstrip("/"), int(fields["pid"]), str(fields.get("database", "")))
-    except (OSError, ValueError, KeyError, TypeError):
-        # A file that is not there, or half of one, names no service.
-        return None
-    return server if server.pid is not None and _lives(server.pid) else None
-
-
-def _lives(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
-
-
-def find_server(settings: Settings) -> Server | None:
-    """The service of this home that works on this database, if one runs."""
-    server = read_server(settings.server_file)
-    return server if server is not None and server.database in {"", settings.database} else None
 
 
 class Client:
@@ -118,6 +74,11 @@ class Client:
         except httpx.InvalidURL as error:
             raise BadInput(
                 f"--server: expected a URL such as http://127.0.0.1:8642, found {self.url} ({error})"
+            ) from None
+        except httpx.ReadTimeout:
+            raise ServerUnavailable(
+                f"expected an answer of the service at {self.url} within {TIMEOUT.read:.0f} s, found none; "
+                "see with `halma ls` whether the study was taken"
             ) from None
         except httpx.HTTPError as error:
             raise ServerUnavailable(

@@ -10,7 +10,6 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from search.optuna_export import ExportRefused, Trial, export
 from services.errors import BadInput
 from services.listings import study_json, trial_json
 from services.report import behaviour_of, spec_of
@@ -129,6 +128,8 @@ def _write_parquet(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 
 def _write_optuna(store: Store, row: StudyRow, path: Path) -> int:
+    from search.optuna_export import ExportRefused, Trial, export  # noqa: PLC0415 - half a second, as above
+
     spec = spec_of(row)
     if not isinstance(spec, ResolvedSpec):
         raise BadInput(f"export: expected a study with a space, found that {row.name} has none")

@@ -15,10 +15,10 @@ from typing import Any
 
 import uvicorn
 
+from services.address import read_server
 from services.api.submission import submit_to
 from services.artifacts import open_artifacts
 from services.auth import load_or_create_token
-from services.client import read_server
 from services.errors import BadInput
 from services.running import leaving_on_signals
 from services.settings import Settings

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from workers.contracts import JSON
 from workers.physics import rotations
-from workers.physics.athlete import HIGH, LOW, RATE, SPHERICAL, TORQUE
+from workers.physics.athlete import HIGH, LOW, RATE, SPHERICAL, torque_bound
 from workers.physics.rotations import Array
 from workers.physics.world import GRAVITY
 from workers.replay import Replay
@@ -29,8 +29,8 @@ RATE_FACTOR = 1.0
 """Largest rate of a joint over what a human reaches."""
 RATE_FRAMES = 4
 """Frames (1/30 s) that a rate is measured over: human rates come from motion capture, filtered at about 15 Hz."""
-TORQUE_FACTOR = 1.001
-"""Largest torque over the muscle's limit; float32 rounds."""
+TORQUE_FACTOR = 1.002
+"""Largest torque over what muscles (and, beyond a joint's range, ligaments) give; float32 rounds."""
 PENETRATION = 0.02
 """m that a body may sink into ground or wall."""
 OVERLAP = 0.02
@@ -115,7 +115,13 @@ def audit(replay: Replay) -> Audit:
             Check(
                 "joint_rate", _largest(joint_rates(jump["pose"], period) / RATE), RATE_FACTOR, "of the human maximum"
             ),
-            Check("torque", _largest(np.abs(jump["torque"]) / TORQUE), TORQUE_FACTOR, "of the limit"),
+            # a frame's torque is that at its start: in the pose of the frame before
+            Check(
+                "torque",
+                _largest(np.abs(jump["torque"][1:]) / torque_bound(jump["pose"][:-1])),
+                TORQUE_FACTOR,
+                "of the limit",
+            ),
             Check("penetration", _largest(jump["penetration"]), PENETRATION, "m"),
             Check("self_intersection", _largest(jump["overlap"]), OVERLAP, "m"),
             Check("foot_push", _largest(jump["ground_force"]) / weight, PUSH, "body weights"),

@@ -44,7 +44,7 @@ def halma(
 
 
 for group, commands in (
-    ("Start", (starting.run, starting.submit)),
+    ("Start", (starting.run, starting.serve, starting.submit)),
     ("Look", (studies.ls, studies.show, studies.trials, studies.watch, keeping.replay, keeping.export)),
     ("Steer", (studies.pause, studies.resume, studies.cancel, studies.extend)),
     ("Know", (about.tasks, about.strategies, about.schema, about.doctor)),

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 
+from services.address import find_server
 from services.cli.findings import report
 from services.cli.progress import shown_progress
 from services.cli.session import Session, say
-from services.client import find_server
 from services.driver import lives
 from services.errors import HalmaError, InterruptedByUser, StudyDriven
-from services.running import drive
 from services.states import StudyState
 from services.store.port import StudyRow
 
@@ -46,6 +45,8 @@ def drive_here(opened: Session, name: str, *, inline: bool, take_over: bool, cor
         say(f"The service at {server.url} goes on with {name}. Follow it: halma watch {name}")
         return
     _announce(row)
+    from services.running import drive  # noqa: PLC0415 - the coordinator, which most commands never need
+
     try:
         with shown_progress(opened.store, name):
             row = drive(

@@ -9,7 +9,7 @@ import uuid
 
 import pytest
 import uvicorn
-from playwright.sync_api import expect, sync_playwright
+from playwright.sync_api import expect
 
 from dashboards.app import create_app
 from services.api.submission import submit_to
@@ -18,12 +18,6 @@ from services.auth import COOKIE, Gatekeeper
 from services.store.open import open_store
 
 TOKEN = "a-token-for-tests-only"
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-FLAGS = [
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-]  # fmt: skip
 
 
 # Limits for a machine that is busy with other things; what is waited for comes in tens of milliseconds on an idle one.
@@ -82,16 +76,6 @@ def service(tmp_path, empty_database):
     running = Service(tmp_path, empty_database).start()
     yield running
     running.stop()
-
-
-@pytest.fixture(scope="session")
-def chromium():
-    if CHROMIUM is None:
-        pytest.fail("these tests drive a real browser: expected chromium on the PATH, found none; install it")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield browser
-        browser.close()
 
 
 class Watched:

@@ -10,7 +10,8 @@ import sys
 import httpx
 import pytest
 
-from services.client import Client, ServerRefused, ServerUnavailable, find_server, read_server
+from services.address import find_server, read_server
+from services.client import Client, ServerRefused, ServerUnavailable
 from services.errors import BadInput, NameTaken
 from services.settings import find_settings
 
@@ -65,6 +66,15 @@ def test_a_service_that_does_not_answer(settings):
 
     client = Client(settings, "http://127.0.0.1:9", transport=httpx.MockTransport(handle))
     with client, pytest.raises(ServerUnavailable, match=r"found: refused; start one with `halma serve`"):
+        client.submit("", [], "a.yaml")
+
+
+def test_a_service_that_takes_too_long_may_have_taken_the_study(settings):
+    def handle(request):
+        raise httpx.ReadTimeout("slow", request=request)
+
+    client = Client(settings, "http://127.0.0.1:9", transport=httpx.MockTransport(handle))
+    with client, pytest.raises(ServerUnavailable, match="within 180 s, found none; see with `halma ls`"):
         client.submit("", [], "a.yaml")
 
 

@@ -54,7 +54,7 @@ def test_without_torque_a_command_moves_nothing():
     def bent(limit):
         world = World()
         athlete = world.athlete
-        athlete._forces = [[limit] * len(f) for f in athlete._forces]
+        athlete._muscles = [[limit] * len(f) for f in athlete._muscles]
         athlete.place([0, 50, 0], [0, 0, 0, 1])
         athlete.bend(RUN, np.zeros(COORDINATES))
         athlete.push([0, 0, 0], [0, 0, 0])

@@ -56,12 +56,14 @@ def test_a_training_interrupted_and_continued_in_a_new_process_is_bit_for_bit_th
 @pytest.mark.parametrize("make", [Target, Choice])
 @pytest.mark.parametrize("k", [1, 2, 3])
 def test_wherever_it_is_interrupted_the_weights_are_the_same(tmp_path, make, k):
+    # Twenty environments are more than an iteration has room for: how many play depends on the last one's episodes.
+    options = {"iterations": 4, "environments": 20, "normalise_rewards": True}
     problem = ToyProblem(make, {"start": 0.1, "step": 0.1} if make is Target else None)
-    whole = train(job(), LocalContext(tmp_path / "whole"), problem, settings(4))
+    whole = train(job(), LocalContext(tmp_path / "whole"), problem, settings(**options))
     context = LocalContext(tmp_path / "parts", stop=lambda: len(context.reports()) == k)
     with pytest.raises(Interrupted):
-        train(job(), context, problem, settings(4))
-    resumed = train(job(), LocalContext(tmp_path / "parts"), problem, settings(4))
+        train(job(), context, problem, settings(**options))
+    resumed = train(job(), LocalContext(tmp_path / "parts"), problem, settings(**options))
     assert resumed.policy.sha256() == whole.policy.sha256()
     assert resumed.level == whole.level
     assert resumed.cost.samples == whole.cost.samples

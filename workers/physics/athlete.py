@@ -7,7 +7,8 @@ the joint velocities (rad/s) in the same order. The body's forward axis is x, up
 
 Stable PD control (Tan, Liu and Turk 2011) is Bullet's own, at gains and torque limits of the human body. A joint beyond
 its range is driven back by a penalty torque, as in the published jumping system: its target is moved inside the range,
-as far from the limit as the joint itself is beyond it, so that the limit is twice as stiff as the joint.
+as far from the limit as the joint itself is beyond it, so that the limit is twice as stiff as the joint. There
+ligaments help the muscles (`LIGAMENTS`): a leg that swings back after the push is more than the hip's muscles can stop.
 """
 
 from __future__ import annotations
@@ -78,9 +79,14 @@ RATE: Array = np.array([JOINTS[i].rate for i in COORDINATE_JOINT])
 
 DAMPING_RATIO = 0.1
 """Damping over stiffness, s."""
+LIGAMENTS = 10.0
+"""1/rad: beyond its range by e rad, a joint can bear (1 + 10 e) times the torque of its muscles."""
 SCALE = 0.25
 """The model file is four times life size."""
 _TURNED = 3 * len(SPHERICAL)
+_SURE_W = 0.74
+_SURE_FACTOR = 2.2
+"""A quaternion with w > 0.74 has a rotation vector of less than 2.2 times its (x, y, z)."""
 
 
 class Athlete:
@@ -110,9 +116,14 @@ class Athlete:
         self._share = self.mass / self.mass.sum()
         self._gains = [joint.stiffness for joint in JOINTS]
         self._dampings = [joint.stiffness * DAMPING_RATIO for joint in JOINTS]
-        self._forces = [[joint.torque] * len(joint.low) for joint in JOINTS]
+        self._muscles = [[joint.torque] * len(joint.low) for joint in JOINTS]
+        self._forces = self._muscles
         self._still = [[0.0] * len(joint.low) for joint in JOINTS]
         self._ranges = [(joint.low, joint.high) for joint in JOINTS]
+        self._surely_within = [
+            tuple((low / _SURE_FACTOR, high / _SURE_FACTOR) for low, high in zip(joint.low, joint.high, strict=True))
+            for joint in JOINTS
+        ]
         self._target: list[list[float]] = [[0.0] * len(joint.low) for joint in JOINTS]
         self._command: list[list[float]] = []
         self._free_the_joints()
@@ -211,7 +222,7 @@ class Athlete:
     def actuate(self, *, watch_limits: bool) -> None:
         """Set the torques of the next Bullet step; `watch_limits` looks at the joints' ranges anew."""
         if watch_limits:
-            self._limited = self._within_ranges()
+            self._watch_ranges()
         bullet.setJointMotorControlMultiDofArray(
             self.body,
             self._joints,
@@ -225,7 +236,7 @@ class Athlete:
         )
 
     def torques(self, dt: float) -> Array:
-        """Muscle torques ``[28]`` (N m) that Bullet applies in its next step of `dt` seconds, after `actuate`.
+        """Torques ``[28]`` (N m) of muscles and ligaments in Bullet's next step of `dt` seconds, after `actuate`.
 
         Bullet keeps them to itself, so this is stable PD control once more, in numpy and slow (Tan, Liu and Turk 2011,
         equations 3 and 4): for recordings. A test holds it against Bullet's.
@@ -248,7 +259,8 @@ class Athlete:
         force[self._slots] += error
         M[self._slots, self._slots] += kd * dt
         acceleration = np.linalg.solve(M, force)[self._slots]
-        return np.asarray(np.clip(error - kd * dt * acceleration, -TORQUE, TORQUE))
+        bound = np.array([force for forces in self._forces for force in forces])
+        return np.asarray(np.clip(error - kd * dt * acceleration, -bound, bound))
 
     def _error_after(self, dt: float) -> Array:
         """What the joints lack to their targets ``[28]`` after `dt` seconds at their present rates, rad."""
@@ -262,34 +274,58 @@ class Athlete:
         hinges = np.array([a[0] for a in self._limited[len(SPHERICAL) :]])
         return np.concatenate([turned.ravel(), hinges - (pose[_TURNED:] + dt * rates[_TURNED:])])
 
-    def _within_ranges(self) -> list[list[float]]:
-        """Targets with the penalty of the joints that are beyond their range.
+    def _watch_ranges(self) -> None:
+        """Set targets and torque limits anew, with the penalty of the joints that are beyond their range.
 
         Plain Python, since numpy's overhead on so few numbers is several times the arithmetic.
         """
-        limited = list(self._command)
+        limited, forces = list(self._command), list(self._muscles)
         states = bullet.getJointStatesMultiDof(self.body, self._joints, **self._k)
-        for i, (low, high) in enumerate(self._ranges):
-            position = states[i][0]
-            if len(low) == 1:
+        for i, (state, (low, high), surely) in enumerate(zip(states, self._ranges, self._surely_within, strict=True)):
+            position = state[0]
+            if len(position) == 1:
+                angle = position[0]
+                if low[0] <= angle <= high[0]:
+                    continue
                 coordinates: tuple[float, ...] = position
             else:
                 x, y, z, w = position
+                # most joints, most of the time: told by comparisons alone
+                (x0, x1), (y0, y1), (z0, z1) = surely
+                if w > _SURE_W and x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1:
+                    continue
                 if w < 0:
                     x, y, z, w = -x, -y, -z, -w
                 length = math.sqrt(x * x + y * y + z * z)
                 factor = 2 * math.atan2(length, w) / length if length > 1e-8 else 2.0
                 coordinates = (x * factor, y * factor, z * factor)
-            moved: list[float] | None = None
-            for axis, value in enumerate(coordinates):
-                excess = max(value - high[axis], 0.0) + min(value - low[axis], 0.0)
-                if excess:
-                    moved = moved or list(self._target[i])
-                    inside = min(max(moved[axis], low[axis]), high[axis])
-                    moved[axis] = inside - excess
-            if moved is not None:
-                limited[i] = moved if len(low) == 1 else _quaternion(moved)
-        return limited
+            self._restrain(i, coordinates, limited, forces)
+        self._limited, self._forces = limited, forces
+
+    def _restrain(
+        self, i: int, coordinates: tuple[float, ...], limited: list[list[float]], forces: list[list[float]]
+    ) -> None:
+        """Change target and torque limit of joint `i` where its coordinates (rad) are beyond its range."""
+        low, high = self._ranges[i]
+        moved: list[float] | None = None
+        furthest = 0.0
+        for axis, value in enumerate(coordinates):
+            excess = max(value - high[axis], 0.0) + min(value - low[axis], 0.0)
+            if excess:
+                moved = moved or list(self._target[i])
+                moved[axis] = min(max(moved[axis], low[axis]), high[axis]) - excess
+                furthest = max(furthest, abs(excess))
+        if moved is not None:
+            limited[i] = moved if len(low) == 1 else _quaternion(moved)
+            forces[i] = [force * (1 + LIGAMENTS * furthest) for force in self._muscles[i]]
+
+
+def torque_bound(pose: NDArray[Any]) -> Array:
+    """Largest torques ``[..., 28]`` (N m) that muscles and ligaments give in poses ``[..., 28]``."""
+    beyond = np.maximum(np.maximum(pose - HIGH, LOW - pose), 0.0)
+    furthest = np.stack([beyond[..., np.array(COORDINATE_JOINT) == i].max(-1) for i in range(len(JOINTS))], -1)
+    bound: Array = TORQUE * (1 + LIGAMENTS * furthest[..., list(COORDINATE_JOINT)])
+    return bound
 
 
 def _quaternion(e: list[float]) -> list[float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import time
 
 from PIL import Image
 
@@ -67,3 +68,9 @@ class Painter:
 
     def simulate(self, job, policy):
         return Recorded(policy)
+
+
+def slow_hill(params):
+    """Takes 0.2 s."""
+    time.sleep(0.2)
+    return hill(params)

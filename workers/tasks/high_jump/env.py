@@ -116,6 +116,11 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         metrics = {f"end_{name}": float(verdict == name) for name in ("wall", "ground", "time")}
         return observation, reward, True, False, {"success": landed, "verdict": verdict, "metrics": metrics}
 
+    @property
+    def elapsed(self) -> float:
+        """Simulated seconds since the last reset."""
+        return self._elapsed * FRAME
+
     def _observation(self) -> NDArray[np.float64]:
         links = self.world.athlete.links()
         root = links[0, :3].copy()
