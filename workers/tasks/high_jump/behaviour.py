@@ -16,8 +16,8 @@ FeatureName = Literal["facing", "rotation"]
 
 FEATURES: dict[FeatureName, FeatureSpec] = {
     # Three trainings of one take-off state with different seeds differed by up to 0.3 rad: what counts as another
-    # strategy must be further apart than that. Half a radian is also what a person sees at once.
-    "facing": FeatureSpec("euclidean", ("facing",), distinct=0.5, low=(0.0,), high=(math.pi,), unit="rad"),
+    # strategy must be further apart than that. 0.4 rad, 23 degrees, is also what a person sees at once.
+    "facing": FeatureSpec("euclidean", ("facing",), distinct=0.4, low=(0.0,), high=(math.pi,), unit="rad"),
     # A rotation has three degrees of freedom, so two of one style differ by more: one radian.
     "rotation": FeatureSpec("rotation", ("x", "y", "z", "w"), distinct=1.0, unit="rad"),
 }
