@@ -4,21 +4,23 @@
 
 Plays random episodes of the high jump (push-off pose plus noise) and prints control steps a CPU second and simulated
 seconds a CPU second, with the split between Bullet's stepping, its stable PD controllers, its other calls, and Python.
-Beside it, in the same run and for the same CPU time, the DeepMimic environment that pybullet carries (the same humanoid,
-240 Hz, actions at 30 Hz). CPU seconds of this process, so that a busy machine changes little.
+Beside it, in the same run and for the same CPU time, the DeepMimic environment that pybullet carries (the same
+humanoid, 240 Hz, actions at 30 Hz). CPU seconds of this process, so that a busy machine changes little.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 import io
 import sys
 import time
 import types
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pybullet
@@ -36,12 +38,12 @@ PARTS = {"stepSimulation": "stepping", "setJointMotorControlMultiDofArray": "sta
 def stopwatch() -> Iterator[dict[str, float]]:
     """CPU seconds inside Bullet's functions, by part, while the block runs."""
     spent: dict[str, float] = defaultdict(float)
-    originals = {}
+    originals = {name: f for name, f in vars(pybullet).items() if isinstance(f, types.BuiltinFunctionType)}
 
-    def timed(name, function):
+    def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         part = PARTS.get(name, "other calls")
 
-        def call(*args, **kwargs):
+        def call(*args: Any, **kwargs: Any) -> Any:
             start = time.process_time_ns()
             result = function(*args, **kwargs)
             spent[part] += (time.process_time_ns() - start) / 1e9
@@ -49,9 +51,6 @@ def stopwatch() -> Iterator[dict[str, float]]:
 
         return call
 
-    for name, function in vars(pybullet).items():
-        if isinstance(function, types.BuiltinFunctionType):
-            originals[name] = function
     for name, function in originals.items():
         setattr(pybullet, name, timed(name, function))
     try:
@@ -95,13 +94,14 @@ def deep_mimic(seconds: float) -> tuple[int, float, float]:
     package = types.ModuleType("pybullet_envs")
     package.__path__ = [str(Path(pybullet_data.getDataPath()).parent / "pybullet_envs")]
     sys.modules.setdefault("pybullet_envs", package)
-    from pybullet_envs.deep_mimic.env.pybullet_deep_mimic_env import InitializationStrategy, PyBulletDeepMimicEnv
-    from pybullet_utils.arg_parser import ArgParser
+    module = importlib.import_module("pybullet_envs.deep_mimic.env.pybullet_deep_mimic_env")
 
-    arguments = ArgParser()
+    arguments = importlib.import_module("pybullet_utils.arg_parser").ArgParser()
     arguments.load_file(str(Path(pybullet_data.getDataPath()) / "args" / "run_humanoid3d_run_args.txt"))
     with contextlib.redirect_stdout(io.StringIO()), quiet():
-        env = PyBulletDeepMimicEnv(arguments, time_step=1 / 240, init_strategy=InitializationStrategy.START)
+        env = module.PyBulletDeepMimicEnv(
+            arguments, time_step=1 / 240, init_strategy=module.InitializationStrategy.START
+        )
     agent = 0
     low, high = np.array(env.build_action_bound_min(agent)), np.array(env.build_action_bound_max(agent))
     mean = -np.array(env.build_action_offset(agent))

@@ -10,6 +10,7 @@ A life cycle is propose, start, report, complete, each made durable before the n
 Optuna's cycle has the same content: create a trial, five parameters, one intermediate value, tell. Its commits are
 made durable, too (`PRAGMA synchronous = FULL`), in its own rollback journal and in WAL mode. `a durable commit`
 is the floor: one row into one table with the same settings. Nothing is random here, so there are no seeds.
+On a machine that does other things at the same time, look at the CPU time: it changes less.
 
     python benchmarks/storage.py [--cycles 400] [--repeats 5] [--folder FOLDER]
 """
@@ -25,7 +26,8 @@ import statistics
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import optuna
@@ -43,6 +45,18 @@ PARAMETERS = {f"x{i}": 0.1 * i for i in range(5)}
 DIGEST = "0" * 64
 TARGET = 500.0
 """Life cycles a second that the project set out to reach."""
+
+
+@dataclass
+class Spent:
+    """Seconds by the clock and of CPU, since it was made."""
+
+    wall: float = field(default_factory=time.perf_counter)
+    cpu: float = field(default_factory=time.process_time)
+
+    def stop(self) -> Spent:
+        """What was spent since."""
+        return Spent(time.perf_counter() - self.wall, time.process_time() - self.cpu)
 
 
 def propose(store: Store, study: int, token: int, count: int) -> list[int]:
@@ -71,13 +85,13 @@ RESULT = Result(
 METRICS = {"return": 0.25, "loss": 0.125}
 
 
-def grouped(folder: Path, cycles: int, group: int) -> float:
-    """Seconds for `cycles` life cycles, `group` of them at a time."""
+def grouped(folder: Path, cycles: int, group: int) -> Spent:
+    """What is spent on `cycles` life cycles, `group` of them at a time."""
     store = open_store(folder / "halma.db")
     with store.transaction() as change:
         study = change.create_study("bench", {}, seed=1).id
         token = change.drive("bench", Driver("bench", "here", 1))
-    begin = time.perf_counter()
+    spent = Spent()
     for _ in range(cycles // group):
         trials = propose(store, study, token, group)
         with store.transaction() as change:
@@ -88,19 +102,19 @@ def grouped(folder: Path, cycles: int, group: int) -> float:
         with store.transaction() as change:
             for attempt in attempts:
                 change.finish(attempt.id, attempt.token, RESULT)
-    seconds = time.perf_counter() - begin
+    spent = spent.stop()
     assert store.study("bench").counts == {"complete": cycles // group * group}
     store.close()
-    return seconds
+    return spent
 
 
-def all_in_one(folder: Path, cycles: int) -> float:
-    """Seconds for `cycles` life cycles of one commit each."""
+def all_in_one(folder: Path, cycles: int) -> Spent:
+    """What is spent on `cycles` life cycles of one commit each."""
     store = open_store(folder / "halma.db")
     with store.transaction() as change:
         study = change.create_study("bench", {}, seed=1).id
         token = change.drive("bench", Driver("bench", "here", 1))
-    begin = time.perf_counter()
+    spent = Spent()
     for _ in range(cycles):
         with store.transaction() as change:
             (trial,) = change.propose(
@@ -116,29 +130,29 @@ def all_in_one(folder: Path, cycles: int) -> float:
             attempt = change.start(trial.id, token, worker="w")
             change.report(attempt.id, attempt.token, iteration=1, metrics=METRICS, samples=500, seconds=0.5)
             change.finish(attempt.id, attempt.token, RESULT)
-    seconds = time.perf_counter() - begin
+    spent = spent.stop()
     store.close()
-    return seconds
+    return spent
 
 
-def durable_commits(folder: Path, commits: int) -> float:
-    """Seconds for `commits` durable commits of one small row each, without any layer between."""
+def durable_commits(folder: Path, commits: int) -> Spent:
+    """What is spent on `commits` durable commits of one small row each, without any layer between."""
     connection = sqlite3.connect(folder / "floor.db", isolation_level=None)
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = FULL")
     connection.execute("CREATE TABLE t (id INTEGER PRIMARY KEY, text TEXT)")
-    begin = time.perf_counter()
+    spent = Spent()
     for _ in range(commits):
         connection.execute("BEGIN IMMEDIATE")
         connection.execute("INSERT INTO t (text) VALUES (?)", ("x" * 100,))
         connection.execute("COMMIT")
-    seconds = time.perf_counter() - begin
+    spent = spent.stop()
     connection.close()
-    return seconds
+    return spent
 
 
-def optuna_storage(folder: Path, cycles: int, journal: str) -> float:
-    """Seconds for `cycles` life cycles in Optuna's storage."""
+def optuna_storage(folder: Path, cycles: int, journal: str) -> Spent:
+    """What is spent on `cycles` life cycles in Optuna's storage."""
     storage = RDBStorage(f"sqlite:///{folder / 'optuna.db'}", engine_kwargs={"connect_args": {"timeout": 30}})
 
     def prepare(connection: sqlite3.Connection, _record: object) -> None:
@@ -148,31 +162,34 @@ def optuna_storage(folder: Path, cycles: int, journal: str) -> float:
     sqlalchemy.event.listen(storage.engine, "connect", prepare)
     storage.engine.dispose()
     study = storage.create_new_study([StudyDirection.MAXIMIZE], "bench")
-    begin = time.perf_counter()
+    spent = Spent()
     for _ in range(cycles):
         trial = storage.create_new_trial(study)
         for name, value in PARAMETERS.items():
             storage.set_trial_param(trial, name, value, FloatDistribution(0.0, 1.0))
         storage.set_trial_intermediate_value(trial, 1, 0.25)
         storage.set_trial_state_values(trial, OptunaState.COMPLETE, [0.5])
-    seconds = time.perf_counter() - begin
+    spent = spent.stop()
     assert storage.get_n_trials(study) == cycles
     storage.engine.dispose()
-    return seconds
+    return spent
 
 
-def rates(measure: Callable[[Path], float], count: int, repeats: int, parent: Path) -> list[float]:
-    """What is done a second, once for each repeat, each in an empty folder."""
-    found = []
+def rates(measure: Callable[[Path], Spent], count: int, repeats: int, parent: Path) -> tuple[list[float], float]:
+    """What is done a second, each time in an empty folder, and the CPU time that one takes, in microseconds."""
+    found, cpu = [], []
     for _ in range(repeats):
         folder = Path(tempfile.mkdtemp(dir=parent))
-        found.append(count / measure(folder))
+        spent = measure(folder)
+        found.append(count / spent.wall)
+        cpu.append(spent.cpu / count * 1e6)
         shutil.rmtree(folder)
-    return found
+    return found, statistics.median(cpu)
 
 
-def show(name: str, found: Sequence[float], note: str = "") -> None:
-    print(f"{name:<34}{statistics.median(found):>10.0f}{min(found):>10.0f}{max(found):>10.0f}  {note}")
+def show(name: str, measured: tuple[list[float], float], note: str = "") -> None:
+    found, cpu = measured
+    print(f"{name:<34}{statistics.median(found):>9.0f}{min(found):>9.0f}{max(found):>9.0f}{cpu:>9.0f}  {note}")
 
 
 def machine() -> str:
@@ -198,7 +215,7 @@ def main() -> None:
 
     print(machine())
     print(f"{cycles} life cycles a measurement, {repeats} measurements, synchronous = FULL everywhere\n")
-    print(f"{'a second':<34}{'median':>10}{'lowest':>10}{'highest':>10}")
+    print(f"{'a second':<34}{'median':>9}{'lowest':>9}{'highest':>9}{'us CPU':>9}")
     with tempfile.TemporaryDirectory(prefix="halma-bench-", dir=given.folder) as name:
         parent = Path(name)
         show(
@@ -215,7 +232,7 @@ def main() -> None:
         for journal in ("DELETE", "WAL"):
             peers[journal] = rates(lambda f, j=journal: optuna_storage(f, few, j), few, repeats, parent)  # type: ignore[misc]
             show(f"Optuna RDBStorage, {journal}", peers[journal], f"{few} cycles")
-    ours, theirs = statistics.median(eight), max(statistics.median(found) for found in peers.values())
+    ours, theirs = statistics.median(eight[0]), max(statistics.median(found) for found, _ in peers.values())
     verdict = "reached" if ours >= TARGET else "NOT reached"
     print(
         f"\ngrouped by 8: {ours:.0f} life cycles a second, target {TARGET:.0f}: {verdict}; Optuna at best {theirs:.0f}"

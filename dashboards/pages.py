@@ -60,10 +60,18 @@ def as_yaml(study: StudyRow) -> str:
 
     from services.spec import StudySpec  # noqa: PLC0415
 
-    asked = {name: study.spec[name] for name in StudySpec.model_fields if name in study.spec}
+    asked = {name: given(study.spec[name]) for name in StudySpec.model_fields if name in study.spec}
+    asked = {name: value for name, value in asked.items() if value not in (None, {})}
     asked["name"] = f"{study.name}-2"
     text: str = yaml.safe_dump(asked, sort_keys=False, allow_unicode=True)
     return text
+
+
+def given(value: Any) -> Any:
+    """A part of a spec without what nobody has to write: nothing, and empty mappings."""
+    if not isinstance(value, Mapping):
+        return value
+    return {name: given(inner) for name, inner in value.items() if inner is not None and inner != {}}
 
 
 def study_view(request: Request, service: Service, name: str, view: str) -> Response:

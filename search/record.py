@@ -67,7 +67,7 @@ class Record:
         cost: ``n``.
         pending: ``m x d`` unit coordinates.
         pending_z: ``m``.
-        key: digest of all that the history says; models are cached under it.
+        params: of the observations as they came: asking for the same point again means asking with the same numbers.
     """
 
     X: Array
@@ -78,12 +78,33 @@ class Record:
     cost: Array
     pending: Array
     pending_z: Array
-    key: bytes
+    params: tuple[Mapping[str, Scalar], ...]
 
     @property
     def n(self) -> int:
         """Number of observations."""
         return len(self.X)
+
+    def first(self, n: int) -> Record:
+        """The record as it was after `n` observations, with nothing pending."""
+        return Record(
+            self.X[:n],
+            self.value[:n],
+            self.features[:n],
+            self.complete[:n],
+            self.z[:n],
+            self.cost[:n],
+            self.pending[:0],
+            self.pending_z[:0],
+            self.params[:n],
+        )
+
+    def digest(self, n: int) -> bytes:
+        """Digest of all that the first `n` observations say; fitted models are kept under it."""
+        digest = hashlib.blake2b(digest_size=16)
+        for array in (self.X, self.value, self.features, self.complete, self.z, self.cost):
+            digest.update(np.ascontiguousarray(array[:n]).tobytes())
+        return digest.digest()
 
     @property
     def known(self) -> NDArray[np.bool_]:
@@ -186,7 +207,4 @@ def read_record(
     for j, candidate in enumerate(pending):
         P[j] = _unit(space, candidate, f"pending[{j}]")
         pz[j] = _difficulty(candidate, f"pending[{j}]")
-    digest = hashlib.blake2b(digest_size=16)
-    for array in (X, value, Y, complete, z, cost):
-        digest.update(array.tobytes())
-    return Record(X, value, Y, complete, z, cost, P, pz, digest.digest())
+    return Record(X, value, Y, complete, z, cost, P, pz, tuple(o.candidate.params for o in history))

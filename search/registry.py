@@ -17,6 +17,17 @@ WHERE: dict[str, str] = {
     "sobol": "search.designs:Sobol",
     "edge": "search.designs:Edge",
     "bds": "search.bds.strategy:BayesianDiversitySearch",
+    "cmfbo": "search.quality.cmfbo:CMFBO",
+    "novelty": "search.novelty:Novelty",
+    "gp_ucb": "search.quality.gp_ucb:GPUCB",
+    "boca": "search.quality.gp_ucb:BOCA",
+    "top_k": "search.baselines.top_k:TopK",
+    "tpe": "search.baselines.optuna:TPE",
+    "tpe_hyperband": "search.baselines.optuna:TPEHyperband",
+    "gp": "search.baselines.optuna:OptunaGP",
+    "cmaes": "search.baselines.cma:CMAES",
+    "map_elites": "search.baselines.pyribs:MapElites",
+    "cma_me": "search.baselines.pyribs:CMAME",
 }
 """Module and class of each strategy, in the order of listings."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -131,6 +132,19 @@ class Strategy(ABC):
             needs_features=self.uses_features,
         )
         return self.propose_from(record, int(count), rng)
+
+    def recommend(self, history: Sequence[Observation]) -> int | None:
+        """The index in the history of the best answer so far: highest value among complete trials of the real task.
+
+        Trials at a difficulty below 1 are no answers. None where there is nothing yet.
+        """
+        best, best_value = None, -math.inf
+        for i, o in enumerate(history):
+            if o.status != "complete" or o.value is None or o.candidate.z not in {None, 1}:
+                continue
+            if best is None or o.value > best_value:
+                best, best_value = i, o.value
+        return best
 
     @abstractmethod
     def propose_from(self, record: Record, count: int, rng: np.random.Generator) -> list[Candidate]:

@@ -14,6 +14,7 @@ import ray
 
 from services.coordinator import Coordinator
 from services.dispatch.ray_workers import RayDispatcher, pool_resource
+from services.errors import HalmaError
 from services.proposing import (
     ProposalRequest,
     Proposed,
@@ -29,6 +30,10 @@ from services.store.port import JSON
 
 Actor = Any
 """A handle on an actor: what may be called on it is known to whoever made it."""
+
+
+STARTS = 3
+"""Ray gives its own processes 30 s to come up, which a machine under load can miss."""
 
 
 class StrategyActor:
@@ -163,15 +168,26 @@ def start_ray(pools: Mapping[str, int], address: str | None = None) -> None:
         ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
         return
     resources = {pool_resource(pool): float(size) for pool, size in pools.items() if pool != "default"}
-    ray.init(
-        num_cpus=max(1, sum(pools.values())),
-        num_gpus=0,
-        resources=resources,
-        include_dashboard=False,
-        logging_level=logging.ERROR,
-        log_to_driver=False,
-        configure_logging=False,
-    )
+    for tries_left in reversed(range(STARTS)):
+        try:
+            ray.init(
+                num_cpus=max(1, sum(pools.values())),
+                num_gpus=0,
+                resources=resources,
+                include_dashboard=False,
+                logging_level=logging.ERROR,
+                log_to_driver=False,
+                configure_logging=False,
+            )
+        except Exception as error:
+            ray.shutdown()
+            if not tries_left:
+                raise HalmaError(
+                    f"Ray did not start in {STARTS} tries: {error} If the machine is busy, try again later; "
+                    "`halma run --inline` works without Ray."
+                ) from error
+        else:
+            return
 
 
 def stop_ray() -> None:

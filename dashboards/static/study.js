@@ -130,6 +130,10 @@ class Strategies {
     document.getElementById("fact-distinct-box").hidden = false;
     setText("fact-distinct", String(strategies.length));
     document.getElementById("strategies").hidden = !strategies.length;
+    const moving = strategies.filter((found) => found.replay).slice(0, 4).map((found) => found.number);
+    const together = document.getElementById("together");
+    together.hidden = moving.length < 2;
+    together.href = `${base}/trials/${moving[0]}?beside=${moving.slice(1).join()}`;
     document.getElementById("gallery").replaceChildren(...strategies.map((found, index) => {
       const where = behaviour.names.map((name, i) => `${name} ${feature(found.features[i], behaviour.unit)}`).join(", ");
       const picture = element("span", { className: "picture" });

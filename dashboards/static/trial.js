@@ -7,7 +7,15 @@ const page = data();
 const path = `/studies/${encodeURIComponent(page.study)}/trials/${page.trial}`;
 const curves = new Curves(document.getElementById("curves"), document.getElementById("metric-choice"), path);
 
-if (document.querySelector("halma-replay")) import("./replay.js");
+async function motion() {
+  const form = document.getElementById("beside");
+  if (!form || form.dataset.wired) return;
+  form.dataset.wired = "yes";
+  const { besides } = await import("./beside.js");
+  besides(form, document.getElementById("motions"), page);
+}
+
+motion();
 
 // Replace the parts that the server renders by how it renders them now; what didn't change keeps its place and focus.
 async function refresh() {
@@ -21,7 +29,7 @@ async function refresh() {
     const same = !news || news.innerHTML === part.innerHTML;
     if (!same && !("once" in part.dataset && part.querySelector("halma-replay"))) part.replaceChildren(...news.childNodes);
   }
-  if (document.querySelector("halma-replay")) import("./replay.js");
+  motion();
 }
 
 let busy = false;

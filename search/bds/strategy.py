@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from search.bds import published
+from search.bds import default, published
+from search.features import Features
 from search.record import Candidate, Record
 from search.settings import setting
+from search.space import Space
 from search.strategy import Strategy
+from search.surrogate.milestones import milestone
 from search.surrogate.threads import one_thread
 
 
@@ -18,11 +22,19 @@ from search.surrogate.threads import one_thread
 class BDSSettings:
     """Settings of `bds`."""
 
-    variant: Literal["published"] = setting("published", "`published` is Algorithm 1 of Yin et al. 2021 as printed")
-    n_exp: int = setting(3, "proposals in a row that explore (N_exp)", low=0)
-    n_opt: int = setting(3, "proposals in a row that diversify (N_opt)", low=1)
+    variant: Literal["default", "published"] = setting(
+        "default", "`published` is Algorithm 1 of Yin et al. 2021 as printed"
+    )
     samples: int = setting(64, "Monte Carlo samples of an expected distance", low=1)
-    direct_evaluations: int = setting(500, "evaluations of DIRECT for one proposal", low=1)
+    start: int = setting(2, "Sobol points before the surrogate decides", low=0)
+    seed: int = setting(0, "which scrambling of the Sobol start", low=0)
+    feasibility: bool = setting(True, "learn from failures where trials fail")
+    interior: bool = setting(True, "let every second proposal keep away from the faces of the box")
+    radius: float = setting(0.5, "points nearer than this (in ranges, times sqrt(d)) are worth less", low=0)
+    cap: float | None = setting(None, "distance beyond which more counts for nothing; None: there is none", low=0)
+    n_exp: int = setting(3, "published: proposals in a row that explore (N_exp)", low=0)
+    n_opt: int = setting(3, "published: proposals in a row that diversify (N_opt)", low=1)
+    direct_evaluations: int = setting(500, "published: evaluations of DIRECT for one proposal", low=1)
 
 
 class BayesianDiversitySearch(Strategy):
@@ -33,8 +45,25 @@ class BayesianDiversitySearch(Strategy):
     uses_features = True
     Settings = BDSSettings
 
+    def __init__(
+        self, space: Space, features: Features | None = None, settings: Mapping[str, Any] | None = None
+    ) -> None:
+        super().__init__(space, features, settings)
+        self._fitted: tuple[bytes, default.Models] | None = None
+
     def propose_from(self, record: Record, count: int, rng: np.random.Generator) -> list[Candidate]:
         """`count` points, each proposed as if those before it were already running."""
         with one_thread():
-            proposals = published.propose(self.space, self.metric, record, count, rng, self.settings)
+            if self.settings.variant == "published":
+                proposals = published.propose(self.space, self.metric, record, count, rng, self.settings)
+            else:
+                fitted = self._models(record)
+                proposals = default.propose(self.space, self.metric, record, count, rng, self.settings, fitted)
         return [self.candidate(u, **info) for u, info in proposals]
+
+    def _models(self, record: Record) -> default.Models:
+        """Fitted hyperparameters, kept for as long as the part of the history they were fitted to is the same."""
+        key = record.digest(milestone(record.n))
+        if self._fitted is None or self._fitted[0] != key:
+            self._fitted = (key, default.fit_models(self.space, self.metric, record))
+        return self._fitted[1]

@@ -72,7 +72,7 @@ class GaussianProcess:
         self.X, self.Y, self.w = X, Y, w
         self.amplitude, self.mean = amplitude, mean
         self.noise = np.broadcast_to(np.asarray(noise, dtype=float), (len(X),))
-        K = matern52(scaled_distance(X, X, w))
+        K = self.correlation_between(X, X)
         K[np.diag_indices_from(K)] = 1.0 + self.noise
         self.L = robust_cholesky(K) if len(X) else np.empty((0, 0))
         self.alpha = self._solve(Y - mean)
@@ -83,7 +83,11 @@ class GaussianProcess:
 
     def correlation(self, S: Array) -> Array:
         """Prior correlation with the data, ``m x n``."""
-        return matern52(scaled_distance(S, self.X, self.w))
+        return self.correlation_between(S, self.X)
+
+    def correlation_between(self, A: Array, B: Array) -> Array:
+        """Prior correlation of ``n x e`` with ``m x e`` points, ``n x m``."""
+        return matern52(scaled_distance(A, B, self.w))
 
     def posterior(self, S: Array) -> tuple[Array, Array]:
         """Mean ``m x k`` and latent variance relative to the amplitude's square, ``m``."""
@@ -92,6 +96,14 @@ class GaussianProcess:
         k = self.correlation(S)
         V = solve_triangular(self.L, k.T, lower=True, check_finite=False)
         return k @ self.alpha + self.mean, np.maximum(1 - (V * V).sum(0), 1e-12)
+
+    def covariance(self, S: Array) -> Array:
+        """Latent posterior covariance ``m x m`` relative to the amplitude's square."""
+        prior = self.correlation_between(S, S)
+        if not len(self.X):
+            return prior
+        V = solve_triangular(self.L, self.correlation(S).T, lower=True, check_finite=False)
+        return np.asarray(prior - V.T @ V)
 
     def gradient(self, s: Array) -> tuple[Array, float, Array, Array]:
         """At one point ``e``: mean ``k``, relative variance, and their gradients ``k x e`` and ``e``."""
@@ -109,7 +121,7 @@ class GaussianProcess:
     def with_data(self, X: Array, Y: Array, noise: float | Array) -> GaussianProcess:
         """The same hyperparameters with more data, ``p x e`` and ``p x k``."""
         more = np.broadcast_to(np.asarray(noise, dtype=float), (len(X),))
-        return GaussianProcess(
+        return type(self)(
             np.concatenate([self.X, X]),
             np.concatenate([self.Y, Y]),
             self.w,

@@ -7,22 +7,12 @@ import shutil
 
 import psycopg
 import pytest
-from postgres import NoPostgres, running_server
 
 from services.store.open import open_store
 
 _numbers = itertools.count(1)
 
 ENGINES = ["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)]
-
-
-@pytest.fixture(scope="session")
-def postgres_server():
-    try:
-        with running_server() as server:
-            yield server
-    except NoPostgres as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,7 @@
 import signal
 
 import pytest
-from conftest import alive, family, kill_all, wait_for
+from processes import alive, family, kill_all, wait_for
 
 from services.store.open import open_store
 

@@ -6,7 +6,6 @@ import subprocess
 import sys
 
 import numpy as np
-import pytest
 from search_cases import history_of, jump_space
 
 from search import Candidate, Features, make_strategy, strategies
@@ -25,9 +24,9 @@ for name, settings in json.loads(sys.argv[1]):
 """
 
 
-@pytest.mark.parametrize("threads", ["1", "2"])
-def test_another_process_proposes_the_same_to_the_last_bit(threads):
-    cases = [[info.name, {}] for info in strategies()] + [["bds", {"variant": "published"}]]
+def test_another_process_with_another_number_of_threads_proposes_the_same_to_the_last_bit():
+    cases = [[info.name, {}] for info in strategies()] + [[name, {"variant": "published"}] for name in ("bds", "cmfbo")]
+    threads = "1" if os.environ.get("OMP_NUM_THREADS") != "1" else "2"
     here = os.path.dirname(__file__)  # noqa: PTH120  # goes into a path list of the environment
     path = os.pathsep.join([here, os.path.dirname(os.path.dirname(here))])  # noqa: PTH120  # the same
     environment = {**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads}

@@ -21,7 +21,7 @@ TRAINING = {
     "network": {"hidden": [16]},
     "ppo": {"samples": 30, "environments": 2, "minibatch": 16, "epochs": 2, "sigma_start": 0.1},
 }
-SETTINGS = {"formulation": "flight", "first_bar": 0.45, "highest_bar": 0.6, "bar_step": 0.05}
+SETTINGS = {"formulation": "flight", "first_bar": 0.45, "lowest_bar": 0.45, "highest_bar": 0.6, "bar_step": 0.05}
 FLOP = {"alpha": 0.4, "omega_x": -3.0, "omega_z": 1.0, "v_z": -2.4}
 
 
@@ -159,6 +159,10 @@ def test_the_registry_knows_the_task():
             "expected a divisor of 120 (the frames of a second), found 7",
         ),
         (
+            {"lowest_bar": 0.9, "highest_bar": 0.5}, {}, (), "task.settings", "highest_bar",
+            "expected at least lowest_bar, which is 0.9, found 0.5",
+        ),
+        (
             {"first_bar": 1.0, "highest_bar": 0.5}, {}, (), "task.settings", "highest_bar",
             "expected at least first_bar, which is 1, found 0.5",
         ),
@@ -174,6 +178,8 @@ def test_bad_settings_say_where_and_what(settings, training, names, section, fie
 
 
 def test_bars_are_tried_from_above_the_level_downwards():
-    problem = task._problem(job(task_settings={"first_bar": 0.3, "bar_step": 0.05, "highest_bar": 0.6}))
-    assert problem.bars_from(0.3) == [0.55, 0.5, 0.45, 0.4, 0.35, 0.3]
+    problem = task._problem(
+        job(task_settings={"first_bar": 0.2, "lowest_bar": 0.3, "bar_step": 0.05, "highest_bar": 0.6})
+    )
+    assert problem.bars_from(0.1) == [0.5, 0.45, 0.4, 0.35, 0.3]
     assert problem.bars_from(0.55) == [0.6, 0.55, 0.5, 0.45, 0.4, 0.35, 0.3]

@@ -84,6 +84,9 @@ LIGAMENTS = 10.0
 SCALE = 0.25
 """The model file is four times life size."""
 _TURNED = 3 * len(SPHERICAL)
+_SURE_W = 0.74
+_SURE_FACTOR = 2.2
+"""A quaternion with w > 0.74 has a rotation vector of less than 2.2 times its (x, y, z)."""
 
 
 class Athlete:
@@ -117,6 +120,10 @@ class Athlete:
         self._forces = self._muscles
         self._still = [[0.0] * len(joint.low) for joint in JOINTS]
         self._ranges = [(joint.low, joint.high) for joint in JOINTS]
+        self._surely_within = [
+            tuple((low / _SURE_FACTOR, high / _SURE_FACTOR) for low, high in zip(joint.low, joint.high, strict=True))
+            for joint in JOINTS
+        ]
         self._target: list[list[float]] = [[0.0] * len(joint.low) for joint in JOINTS]
         self._command: list[list[float]] = []
         self._free_the_joints()
@@ -229,7 +236,7 @@ class Athlete:
         )
 
     def torques(self, dt: float) -> Array:
-        """Torques ``[28]`` (N m) of muscles and ligaments that Bullet applies in its next step of `dt` seconds, after `actuate`.
+        """Torques ``[28]`` (N m) of muscles and ligaments in Bullet's next step of `dt` seconds, after `actuate`.
 
         Bullet keeps them to itself, so this is stable PD control once more, in numpy and slow (Tan, Liu and Turk 2011,
         equations 3 and 4): for recordings. A test holds it against Bullet's.
@@ -274,30 +281,43 @@ class Athlete:
         """
         limited, forces = list(self._command), list(self._muscles)
         states = bullet.getJointStatesMultiDof(self.body, self._joints, **self._k)
-        for i, (low, high) in enumerate(self._ranges):
-            position = states[i][0]
-            if len(low) == 1:
+        for i, (state, (low, high), surely) in enumerate(zip(states, self._ranges, self._surely_within, strict=True)):
+            position = state[0]
+            if len(position) == 1:
+                angle = position[0]
+                if low[0] <= angle <= high[0]:
+                    continue
                 coordinates: tuple[float, ...] = position
             else:
                 x, y, z, w = position
+                # most joints, most of the time: told by comparisons alone
+                (x0, x1), (y0, y1), (z0, z1) = surely
+                if w > _SURE_W and x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1:
+                    continue
                 if w < 0:
                     x, y, z, w = -x, -y, -z, -w
                 length = math.sqrt(x * x + y * y + z * z)
                 factor = 2 * math.atan2(length, w) / length if length > 1e-8 else 2.0
                 coordinates = (x * factor, y * factor, z * factor)
-            moved: list[float] | None = None
-            furthest = 0.0
-            for axis, value in enumerate(coordinates):
-                excess = max(value - high[axis], 0.0) + min(value - low[axis], 0.0)
-                if excess:
-                    moved = moved or list(self._target[i])
-                    inside = min(max(moved[axis], low[axis]), high[axis])
-                    moved[axis] = inside - excess
-                    furthest = max(furthest, abs(excess))
-            if moved is not None:
-                limited[i] = moved if len(low) == 1 else _quaternion(moved)
-                forces[i] = [force * (1 + LIGAMENTS * furthest) for force in self._muscles[i]]
+            self._restrain(i, coordinates, limited, forces)
         self._limited, self._forces = limited, forces
+
+    def _restrain(
+        self, i: int, coordinates: tuple[float, ...], limited: list[list[float]], forces: list[list[float]]
+    ) -> None:
+        """Change target and torque limit of joint `i` where its coordinates (rad) are beyond its range."""
+        low, high = self._ranges[i]
+        moved: list[float] | None = None
+        furthest = 0.0
+        for axis, value in enumerate(coordinates):
+            excess = max(value - high[axis], 0.0) + min(value - low[axis], 0.0)
+            if excess:
+                moved = moved or list(self._target[i])
+                moved[axis] = min(max(moved[axis], low[axis]), high[axis]) - excess
+                furthest = max(furthest, abs(excess))
+        if moved is not None:
+            limited[i] = moved if len(low) == 1 else _quaternion(moved)
+            forces[i] = [force * (1 + LIGAMENTS * furthest) for force in self._muscles[i]]
 
 
 def torque_bound(pose: NDArray[Any]) -> Array:

@@ -42,7 +42,8 @@ class HighJumpSettings:
         forward_speed: speed of the run-up along the athlete's heading, m/s.
         rise: upward velocity of the root at the start, m/s; None: 1.2 for `support`, 3.5 for `flight`.
         time_to_bar: the bar stands where the athlete gets in so many seconds, which should be about the highest point.
-        first_bar: where the curriculum begins, m; a lower bar counts for nothing.
+        first_bar: where the curriculum begins, m.
+        lowest_bar: a jump over a lower bar counts for nothing: it can be stepped over, and every style can, m.
         bar_step: one step of the curriculum, m.
         highest_bar: mastered, the training ends, m.
         control_rate: actions a second, a divisor of 120.
@@ -59,6 +60,7 @@ class HighJumpSettings:
     rise: float | None = setting(None, Rule("float", -3.0, 6.0, optional=True))
     time_to_bar: float = setting(0.35, Rule("float", 0.1, 2.0))
     first_bar: float = setting(0.2, Rule("float", 0.1, 2.5))
+    lowest_bar: float = setting(0.4, Rule("float", 0.0, 2.5))
     bar_step: float = setting(0.02, Rule("float", 0.001, 0.5))
     highest_bar: float = setting(2.5, Rule("float", 0.1, 2.9))
     control_rate: int = setting(10, Rule("int", 1, 120))
@@ -77,12 +79,13 @@ class HighJumpSettings:
                 "control_rate",
                 f"expected a divisor of 120 (the frames of a second), found {parsed.control_rate}",
             )
-        if parsed.highest_bar < parsed.first_bar:
-            raise BadSetting(
-                SECTION,
-                "highest_bar",
-                f"expected at least first_bar, which is {parsed.first_bar:g}, found {parsed.highest_bar:g}",
-            )
+        for name, least in (("first_bar", parsed.first_bar), ("lowest_bar", parsed.lowest_bar)):
+            if parsed.highest_bar < least:
+                raise BadSetting(
+                    SECTION,
+                    "highest_bar",
+                    f"expected at least {name}, which is {least:g}, found {parsed.highest_bar:g}",
+                )
         return parsed
 
     def to_json(self) -> dict[str, JSON]:

@@ -35,8 +35,8 @@ _RATE_BOUND = 20.0
 
 PARAMETERS: Mapping[str, ParameterSpec] = {
     "alpha": ParameterSpec("float", 0.4, 2.0, unit="rad"),
-    "omega_x": ParameterSpec("float", -3.0, 2.0, unit="rad/s"),
-    "omega_z": ParameterSpec("float", -3.0, 3.0, unit="rad/s"),
+    "omega_x": ParameterSpec("float", -3.0, 1.0, unit="rad/s"),
+    "omega_z": ParameterSpec("float", -4.0, 4.0, unit="rad/s"),
     "v_z": ParameterSpec("float", -2.5, -0.5, unit="m/s"),
 }
 

@@ -26,7 +26,7 @@ from workers.tasks.high_jump.settings import TRAINING, HighJumpSettings, check_p
 
 REPLAY_ARTIFACT = "replay.bin"
 POSE_ARTIFACT = "pose.png"
-_REACH = 0.25
+_REACH = 0.4
 """m above the curriculum's level that the policy is tried at: without exploration noise it jumps higher."""
 
 
@@ -57,11 +57,11 @@ class HighJumpProblem:
         return SuccessCurriculum(s.first_bar, s.bar_step, s.highest_bar)
 
     def bars_from(self, level: float) -> list[float]:
-        """Bars to try (m), highest first: from above the curriculum's level down to the first bar, in its steps."""
+        """Bars to try (m), highest first: from above the curriculum's level down to the lowest, in its steps."""
         s = self.settings
         top = min(level + _REACH, s.highest_bar)
-        count = int(np.floor((top - s.first_bar) / s.bar_step + 1e-9))
-        return [round(s.first_bar + i * s.bar_step, 9) for i in range(count, -1, -1)]
+        count = int(np.floor((top - s.lowest_bar) / s.bar_step + 1e-9))
+        return [round(s.lowest_bar + i * s.bar_step, 9) for i in range(count, -1, -1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +221,7 @@ def _common(problem: HighJumpProblem, trained: Trained) -> dict[str, JSON]:
 def _infeasible(problem: HighJumpProblem, trained: Trained, refused: Jump | None) -> Outcome:
     """No bar was cleared, or none believably."""
     details = {"bar": None, "cleared": False, "facing": None, "rotation": None, **_common(problem, trained)}
-    message = f"the policy clears no bar of {problem.settings.first_bar:g} m or more"
+    message = f"the policy clears no bar of {problem.settings.lowest_bar:g} m or more"
     if refused is not None:
         details |= {"audit": refused.audit.to_json()}
         message = f"the audit refused every jump; the highest, over {refused.bar:g} m, for: " + ", ".join(

@@ -1,0 +1,207 @@
+"""Curriculum multi-fidelity Bayesian optimisation, repaired: the default variant.
+
+The difficulty z of a task is its fidelity: easy versions are cheap, and show roughly where good settings lie though not
+how good they are. What differs from the published form (`search.quality.cmfbo_published`), and why:
+
+- *Where*: x maximises the logarithm of the expected improvement at z = 1, over the best that the surrogate believes any
+  evaluated point to reach there. The published upper confidence bound is drawn into the corners of the box.
+- *How hard*: z maximises the variance an observation would take away at (x, 1), for its cost. What was informative at
+  an easy level stops being so once observed, so the curriculum progresses by itself; where easy levels tell nothing,
+  z = 1 wins from the start.
+- *Values* are modelled after a linear trend in z is taken off; hyperparameters have priors, the difficulty's length
+  scale the strongest.
+- *Costs* are learnt from the observations. At least a share of the budget goes to z = 1, its end entirely.
+- *The answer* is the best observation at z = 1, never an easier one (`recommend`).
+- *Warm start* from the evaluation with the highest kernel correlation, if it is high enough to help.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from search.designs import next_sobol
+from search.features import Features
+from search.quality import cmfbo_published
+from search.quality.acquisition import log_ei_gradient, log_expected_improvement, maximise
+from search.quality.budget import CostModel, spent
+from search.quality.gp_ucb import best_points
+from search.quality.model import ValueModel, fit_values
+from search.record import Candidate, Observation, Record
+from search.settings import setting
+from search.space import Array, Space
+from search.strategy import Strategy
+from search.surrogate.fit import Fit
+from search.surrogate.gp import IllConditioned
+from search.surrogate.milestones import milestone
+from search.surrogate.threads import one_thread
+
+LEVELS = np.array([0.1, 0.2, 0.35, 0.5, 0.7, 1.0])
+"""Difficulties to choose from."""
+
+
+@dataclass(frozen=True, slots=True)
+class CMFBOSettings:
+    """Settings of `cmfbo`."""
+
+    variant: Literal["default", "published"] = setting("default", "`published` is Algorithms 3 and 4 as printed")
+    cost_budget: float | None = setting(None, "total cost, in the unit of the observations' costs", low=0)
+    start: int | None = setting(None, "evaluations before the surrogate decides; None: d + 1", low=1)
+    start_z: float = setting(0.2, "their difficulty; every fourth is the real task", low=0, high=1)
+    easy: float = setting(0.2, "share of the budget to learn the easy task first", low=0, high=1)
+    share: float = setting(0.7, "least share of the cost after that which goes to z = 1", low=0, high=1)
+    warm_start: bool = setting(True, "start from the policy of the most correlated evaluation")
+    seed: int = setting(0, "which scrambling of the Sobol start", low=0)
+
+
+class CMFBO(Strategy):
+    """Curriculum multi-fidelity Bayesian optimisation."""
+
+    name = "cmfbo"
+    summary = "curriculum multi-fidelity Bayesian optimisation: easy versions first, the real task for the answer"
+    uses_values = True
+    uses_z = True
+    Settings = CMFBOSettings
+
+    def __init__(
+        self, space: Space, features: Features | None = None, settings: Mapping[str, Any] | None = None
+    ) -> None:
+        super().__init__(space, features, settings)
+        self._fitted: tuple[bytes, Fit] | None = None
+
+    def propose_from(self, record: Record, count: int, rng: np.random.Generator) -> list[Candidate]:
+        """`count` candidates, each pending for the next; fewer where the budget is used up."""
+        with one_thread(), warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", IllConditioned)
+            if self.settings.variant == "published":
+                found = cmfbo_published.propose(self.space, record, count, rng, self.settings)
+            else:
+                found = self._default(record, count, rng)
+        told = sorted({str(w.message) for w in caught if issubclass(w.category, IllConditioned)})
+        if told:
+            found = [Candidate(c.params, c.z, c.warm_start, {**c.info, "warnings": told}) for c in found]
+        return found
+
+    def recommend(self, history: Sequence[Observation]) -> int | None:
+        """The best at z = 1; as published, the best at any difficulty."""
+        if self.settings.variant == "default":
+            return super().recommend(history)
+        values = [-math.inf if o.value is None or o.status != "complete" else o.value for o in history]
+        return int(np.argmax(values)) if values and max(values) > -math.inf else None
+
+    def _fit(self, record: Record) -> Fit:
+        """Hyperparameters, kept for as long as the part of the history they were fitted to is the same."""
+        m = milestone(record.n)
+        key = record.digest(m)
+        if self._fitted is None or self._fitted[0] != key:
+            length = 0.5 * math.sqrt(max(1.0, self.space.d / 2))
+            self._fitted = (key, fit_values(self.space, record.first(m), length, FIDELITY_LENGTH))
+        return self._fitted[1]
+
+    def _default(self, record: Record, count: int, rng: np.random.Generator) -> list[Candidate]:
+        s = self.settings
+        costs = CostModel(record)
+        paid = spent(record, costs)
+        at_top = self._paid_at_top(record, costs)
+        budget = math.inf if s.cost_budget is None else s.cost_budget
+        start = self.space.d + 1 if s.start is None else s.start
+        free = self._easy_phase(record, costs)
+        model = ValueModel(self.space, record, self._fit(record))
+        model.believe(record.pending, record.pending_z)
+        found: list[Candidate] = []
+        asked = record.asked
+        while len(found) < count:
+            left = budget - paid
+            if left < 0.5 * costs.at(0.0) or (
+                at_top > 0 and left < 0.5 * min(costs.at(1.0), costs.at(float(LEVELS[0])))
+            ):
+                break
+            turn = len(record.asked) + len(found)
+            top_only = left < RESERVE * costs.at(1.0) or at_top < s.share * (paid - free)
+            info: dict[str, Any]
+            if turn < start:
+                u = next_sobol(self.space, asked, 1, s.seed)[0]
+                z = 1.0 if turn % 4 == 3 else s.start_z
+                info = {"mode": "start"}
+            elif paid < free and not top_only:
+                if turn % 4 == 3:
+                    u, value, z = *self._where(model, record, 1.0, rng), 1.0
+                else:
+                    u, value, z = *self._where(model, record, s.start_z, rng), s.start_z
+                info = {"mode": "learn easy", "acquisition": value}
+            else:
+                u, value = self._where(model, record, 1.0, rng)
+                z = 1.0 if top_only else self._how_hard(model, u, costs)
+                info = {"mode": "improve", "acquisition": value}
+            parent = self._parent(model, record, u, z) if s.warm_start else None
+            found.append(Candidate(self.space.from_unit(u), z=z, warm_start=parent, info=info))
+            asked = np.concatenate([asked, u[None, :]])
+            paid += costs.at(z)
+            at_top += costs.at(z) if z == 1.0 else 0.0
+            model.believe(u[None, :], np.array([z]))
+        return found
+
+    def _easy_phase(self, record: Record, costs: CostModel) -> float:
+        """The cost up to which the search learns the easy task first; it ends early where that doesn't help.
+
+        It helps as long as what looked best there is better at z = 1 than the points of the Sobol start.
+        """
+        s = self.settings
+        whole: float = s.easy * (s.cost_budget if s.cost_budget is not None else 2.0 * self.space.d * costs.at(1.0))
+        top = np.flatnonzero((record.z == 1) & record.complete)
+        design, chosen = top[top < self.space.d + 1], top[top >= self.space.d + 1]
+        if len(chosen) >= 2 and len(design):
+            helps = record.value[chosen].max() > np.median(record.value[design])
+            if not helps:
+                return 0.0
+        return whole
+
+    @staticmethod
+    def _paid_at_top(record: Record, costs: CostModel) -> float:
+        return float(record.cost[record.z == 1].sum()) + costs.at(1.0) * int((record.pending_z == 1).sum())
+
+    def _where(self, model: ValueModel, record: Record, z: float, rng: np.random.Generator) -> tuple[Array, float]:
+        """Argmax of the expected improvement at one difficulty, over the best that evaluated points reach there."""
+        rows = record.asked
+        mean = model.posterior(rows, z)[0] if len(rows) else np.zeros(0)
+        best = float(mean.max()) if len(rows) else 0.0
+        believed = rows[np.argsort(-mean, kind="stable")[:3]]
+        around = np.unique(np.concatenate([best_points(record, 3), believed]), axis=0)
+
+        def many(U: Array) -> Array:
+            return log_expected_improvement(*model.posterior(U, z), best)
+
+        def one(u: Array) -> tuple[float, Array]:
+            mean, sigma, dmean, dsigma = model.gradient(u, z)
+            return log_ei_gradient(mean, sigma, best, dmean, dsigma)
+
+        return maximise(self.space, many, one, around, rng)
+
+    def _how_hard(self, model: ValueModel, u: Array, costs: CostModel) -> float:
+        """Argmax over z of the variance taken away at (u, 1) for its cost."""
+        price = np.array([costs.at(float(z)) for z in LEVELS])
+        return float(LEVELS[int(np.argmax(model.informed(u, LEVELS) / price))])
+
+    def _parent(self, model: ValueModel, record: Record, u: Array, z: float) -> int | None:
+        """The observation with the highest kernel correlation with (u, z), if above `PARENT`; never a harder one."""
+        rows = np.flatnonzero(record.complete & (record.z <= z + 1e-9))
+        if not len(rows):
+            return None
+        here = model.coordinates(u[None, :], z)
+        there = model.coordinates(record.X[rows], record.z[rows])
+        correlation = model.gp.correlation_between(here, there)[0]
+        best = int(np.argmax(correlation))
+        return int(rows[best]) if correlation[best] >= PARENT else None
+
+
+FIDELITY_LENGTH = 1.0
+"""Prior median of the difficulty's length scale: neighbouring levels resemble each other."""
+RESERVE = 3.0
+"""The last so many full evaluations of a budget are spent at z = 1."""
+PARENT = 0.3
+"""Least kernel correlation at which a policy is worth starting from."""
