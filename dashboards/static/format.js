@@ -20,7 +20,7 @@ export function amount(value) {
   for (const [size, letter] of [[1e9, "G"], [1e6, "M"], [1e3, "k"]]) {
     if (Math.abs(value) >= size) return `${Number((value / size).toPrecision(3))}${THIN}${letter}`;
   }
-  return String(Math.round(value * 100) / 100);
+  return String(Number(value.toPrecision(3)));
 }
 
 export function duration(seconds) {

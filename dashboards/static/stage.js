@@ -1,8 +1,8 @@
 // The scene of one replay: the athlete's bodies as the physics has them, bar and mat, forces, the path of the jump.
 // World frame: x through the bar, y up, metres. Colours and first view are those of the pictures the worker renders.
 import {
-  AmbientLight, ArrowHelper, BoxGeometry, BufferAttribute, BufferGeometry, CapsuleGeometry, Color, DirectionalLight, Fog, Group,
-  HemisphereLight, Line, LineBasicMaterial, Mesh, MeshStandardMaterial, PCFShadowMap, PerspectiveCamera, PlaneGeometry,
+  AmbientLight, ArrowHelper, BasicShadowMap, BoxGeometry, BufferAttribute, BufferGeometry, CapsuleGeometry, Color, DirectionalLight, Fog, Group,
+  HemisphereLight, Line, LineBasicMaterial, Mesh, MeshLambertMaterial, PCFShadowMap, PerspectiveCamera, PlaneGeometry,
   Quaternion, Scene, SphereGeometry, Vector3, WebGLRenderer,
 } from "./vendor/three.module.js";
 import { OrbitControls } from "./vendor/OrbitControls.js";
@@ -17,6 +17,21 @@ const GRAVITY = 9.81;
 const WEIGHT_ARROW = 0.3; // metres for a force of one body weight
 
 export class NoWebGL extends Error {}
+
+let known = null;
+
+// What this browser can draw. Without a graphics card the processor does it, and each pixel's fourfold smoothing shows
+// in the frame rate.
+function capabilities() {
+  if (known) return known;
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) throw new NoWebGL("This browser has no WebGL, which the moving picture needs.");
+  const names = gl.getExtension("WEBGL_debug_renderer_info");
+  const name = String(names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "");
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  known = { software: /swiftshader|llvmpipe|software/i.test(name) };
+  return known;
+}
 
 function geometry({ shape, size }) {
   if (shape === "sphere") return new SphereGeometry(size[0], 20, 14);
@@ -36,13 +51,12 @@ export class Stage {
     this.onDraw = onDraw;
     this.follow = true;
     this.time = 0;
-    try {
-      this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, preserveDrawingBuffer: true });
-    } catch {
-      throw new NoWebGL("This browser has no WebGL, which the moving picture needs.");
-    }
+    const { software } = capabilities();
+    this.renderer = new WebGLRenderer({ canvas, antialias: !software, alpha: true });
+    this.sharpest = software ? 1 : 2;
     this.renderer.shadowMap.enabled = true;
-    this.renderer.shadowMap.type = PCFShadowMap;
+    this.renderer.shadowMap.type = software ? BasicShadowMap : PCFShadowMap;
+    this.shadowSize = software ? 512 : 1024;
     this.scene = new Scene();
     // The floor ends where nobody can see it.
     this.scene.fog = new Fog(0xe6eaed, 7, 19);
@@ -64,20 +78,20 @@ export class Stage {
     const sun = new DirectionalLight(0xffffff, 2.1);
     sun.position.set(-3, 6, 4.5);
     sun.castShadow = true;
-    sun.shadow.mapSize.set(1024, 1024);
+    sun.shadow.mapSize.set(this.shadowSize, this.shadowSize);
     Object.assign(sun.shadow.camera, { left: -4, right: 4, top: 4, bottom: -4, near: 0.5, far: 16 });
     sun.shadow.bias = -0.0006;
     this.scene.add(sun, sun.target);
   }
 
-  #solid(shape, colour, more = {}) {
-    const mesh = new Mesh(shape, new MeshStandardMaterial({ color: new Color(colour), roughness: 0.75, ...more }));
+  #solid(shape, colour) {
+    const mesh = new Mesh(shape, new MeshLambertMaterial({ color: new Color(colour) }));
     mesh.castShadow = mesh.receiveShadow = true;
     return mesh;
   }
 
-  #box(size, centre, colour, more) {
-    const mesh = this.#solid(new BoxGeometry(...size), colour, more);
+  #box(size, centre, colour) {
+    const mesh = this.#solid(new BoxGeometry(...size), colour);
     mesh.position.set(...centre);
     this.scene.add(mesh);
     return mesh;
@@ -85,11 +99,11 @@ export class Stage {
 
   #furnish() {
     const { bar, mat_height: mat } = this.replay.header;
-    const floor = this.#solid(new PlaneGeometry(40, 40).rotateX(-Math.PI / 2), 0xb9bfc4, { roughness: 1 });
+    const floor = this.#solid(new PlaneGeometry(40, 40).rotateX(-Math.PI / 2), 0xb9bfc4);
     floor.castShadow = false;
     floor.position.y = -0.021;
     this.scene.add(floor);
-    this.#box([6.2, 0.02, 12], [-3, -0.01, 0], 0xcc6b54, { roughness: 0.95 }).castShadow = false;
+    this.#box([6.2, 0.02, 12], [-3, -0.01, 0], 0xcc6b54).castShadow = false;
     this.#box([4, mat, 6], [2.05, mat / 2, 0], 0x5c9985);
     this.#box([0.04, 0.04, 4], [0, bar - 0.02, 0], 0xf2cc26);
     for (const z of [-2, 2]) this.#box([0.06, bar + 0.2, 0.06], [0, bar / 2 + 0.1, z], 0xe6e6e6);
@@ -99,7 +113,7 @@ export class Stage {
     const { header, bodies } = this.replay;
     this.bodies = Array.from({ length: bodies }, () => new Group());
     for (const part of header.shapes) {
-      const mesh = this.#solid(geometry(part), colourOf(header.bodies[part.body]), { roughness: 0.6 });
+      const mesh = this.#solid(geometry(part), colourOf(header.bodies[part.body]));
       mesh.position.set(...part.offset);
       mesh.quaternion.set(...part.rotation);
       this.bodies[part.body].add(mesh);
@@ -173,7 +187,7 @@ export class Stage {
   }
 
   resize(width, height) {
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, this.sharpest));
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();

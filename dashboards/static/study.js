@@ -24,8 +24,7 @@ function facts() {
   setText("fact-best", number(study.best_value));
   setText("fact-samples", amount(study.cost.samples));
   setText("fact-seconds", duration(study.cost.seconds));
-  setText("fact-task", study.task);
-  setText("fact-strategy", study.strategy);
+  setText("fact-search", `${study.strategy} on ${study.task}`);
   const names = actionsFor(study);
   const at = document.getElementById("actions");
   if (at.dataset.names !== names.join()) {

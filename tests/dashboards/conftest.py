@@ -9,6 +9,7 @@ import uuid
 
 import pytest
 import uvicorn
+from playwright.sync_api import expect
 
 from dashboards.app import create_app
 from services.api.submission import submit_to
@@ -17,6 +18,11 @@ from services.auth import COOKIE, Gatekeeper
 from services.store.open import open_store
 
 TOKEN = "a-token-for-tests-only"
+
+
+# Limits for a machine that is busy with other things; what is waited for comes in tens of milliseconds on an idle one.
+expect.set_options(timeout=30_000)
+NAVIGATION_MS = 120_000
 
 
 class Service:
@@ -77,6 +83,7 @@ class Watched:
 
     def __init__(self, context, url):
         self.url = url
+        context.set_default_timeout(NAVIGATION_MS)
         self.page = context.new_page()
         self.requests = []
         self.complaints = []

@@ -72,17 +72,23 @@ def test_it_shows_what_bullet_renders_of_the_same_state(browser, record, moment)
     replay = thrown()
     page = opened(browser)
     time = 0.0 if moment == "first frame" else over_the_bar(replay)[0]
-    width, height = 480, 360
-    size = of(page, f"stage.resize({width}, {height}) ?? [{width}, {height}]")
-    of(page, "shadowRoot.querySelector('canvas').width")
-    of(page, f"seek({time})")
-    of(page, "stage.home() ?? document.querySelector('halma-replay').stage.draw()")
-    # The canvas itself and not the page, whose layout scales it.
-    url = of(page, "canvas.toDataURL('image/png')")
+    size = (480, 360)
+    # The canvas itself and not the page, whose layout scales it; read in the very task that drew it.
+    url = page.evaluate(
+        """([time, width, height]) => {
+          const replay = document.querySelector("halma-replay");
+          replay.stage.resize(width, height);
+          replay.seek(time);
+          replay.stage.home();
+          replay.stage.draw();
+          return replay.canvas.toDataURL("image/png");
+        }""",
+        [time, *size],
+    )
     picture = Image.open(io.BytesIO(b64decode(url.partition(",")[2]))).convert("RGBA")
     white = Image.new("RGBA", picture.size, "white")
     ours = np.asarray(Image.alpha_composite(white, picture).convert("RGB").resize(size))
-    bullets = np.asarray(Image.open(io.BytesIO(render_frame(replay, time, Size(width, height)))).convert("RGB"))
+    bullets = np.asarray(Image.open(io.BytesIO(render_frame(replay, time, Size(*size)))).convert("RGB"))
     for mine, reference in zip(silhouette(ours), silhouette(bullets), strict=True):
         assert reference.sum() > 300
         centre, wanted = (np.argwhere(mask).mean(axis=0) for mask in (mine, reference))
