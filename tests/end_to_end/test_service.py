@@ -55,7 +55,7 @@ def test_a_submitted_study_is_driven_watched_and_seen_rising_in_the_browser(home
             return counts[-1] >= 6
 
         loads = []
-        page.on("load", loads.append)
+        page.on("load", lambda event: loads.append(event))  # noqa: PLW0108 - playwright takes no bound builtin
         watched = home.run("watch", "served")
         wait_for(rises)
         assert loads == []  # nothing was loaded anew
