@@ -47,6 +47,12 @@ def studies(request: Request, service: Uses) -> Response:
     return page(request, "studies.html", data=data, can_submit=service.submit is not None)
 
 
+@router.get("/workers")
+def workers(request: Request, service: Uses) -> Response:
+    """Who is doing what, and what waits."""
+    return page(request, "workers.html", data=position(service))
+
+
 @router.get("/submit")
 def submit(request: Request, service: Uses, study: str = "") -> Response:
     """Paste or upload a study file; with `study`, one like it."""
@@ -93,6 +99,12 @@ def overview(request: Request, service: Uses, study: Study) -> Response:
 def trials(request: Request, service: Uses, study: Study) -> Response:
     """The table of a study's trials."""
     return study_view(request, service, study, "trials")
+
+
+@router.get("/studies/{study}/parameters")
+def parameters(request: Request, service: Uses, study: Study) -> Response:
+    """Parameters against outcomes."""
+    return study_view(request, service, study, "parameters")
 
 
 @router.get("/studies/{study}/events")

@@ -112,12 +112,14 @@ def listening(host: str, port: int, settings: Settings) -> Iterator[socket.socke
     Raises:
         BadInput: it can't be had; says who has it, where that is known, and what to do.
     """
+    if not 0 <= port <= 65535:
+        raise BadInput(f"--port {port}: expected a port from 0 (any free one) to 65535")
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
         listener = socket.socket(family, kind, protocol)
-    except (OSError, OverflowError) as error:
+    except OSError as error:
         raise BadInput(f"--host {host}: expected an address of this machine, found: {error}") from None
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -70,7 +70,7 @@ export class Chart {
   async #now() {
     if (this.#drawing) { setTimeout(() => this.#now(), 50); return; }
     this.#queued = false;
-    const { traces, empty, ...rest } = this.describe();
+    const { traces, empty, always, ...rest } = this.describe();
     if (!traces.length) {
       if (window.Plotly && this.at.data) window.Plotly.purge(this.at);
       this.at.textContent = "";
@@ -83,7 +83,7 @@ export class Chart {
       const first = !this.at.data;
       if (first) this.at.textContent = "";
       // On a phone the legend would cover the chart; the table below names the shapes.
-      const legend = rest.legend && this.at.clientWidth > 480;
+      const legend = rest.legend && (always || this.at.clientWidth > 480);
       await Plotly.react(this.at, traces, layout({ ...rest, legend }), {
         displayModeBar: false, responsive: false, doubleClick: "reset", toImageButtonOptions: { format: "svg" },
       });

@@ -66,6 +66,7 @@ const views = {
         chart.draw();
       };
     }
+    for (const button of document.querySelectorAll("[data-save]")) button.onclick = () => chart.chart.save(button.dataset.save);
     let space = null;
     if (behaviour) {
       space = new BehaviourChart(document.getElementById("behaviour"), { study: study.name, trials, behaviour, onHover: light });
@@ -90,6 +91,10 @@ const views = {
     const table = new TrialTable(document.getElementById("table"), { study: study.name, trials, behaviour, units });
     const bar = filters(document.getElementById("filters"), table, `/api/v1${base}/trials.csv`);
     return { draw() { bar.draw(); table.draw(); } };
+  },
+  async parameters() {
+    const { Parameters } = await import("./parameters.js");
+    return new Parameters({ study: study.name, trials, behaviour, units, space: study.spec.space ?? {} });
   },
   async events() {
     const { Events } = await import("./events.js");

@@ -423,3 +423,59 @@ def contrast(one, other):
 
     light, dark = sorted((luminance(one), luminance(other)), reverse=True)
     return (light + 0.05) / (dark + 0.05)
+
+
+class TestParameters:
+    def test_any_two_are_shown_with_what_runs_and_what_failed(self, browser, record):
+        for _ in range(3):
+            record.one()
+        record.one(state=TrialState.DIVERGED)
+        record.start(record.propose(2, mode="diversify")[0])
+        page = ready(browser, "/studies/jump/parameters")
+        expect(page.locator("#map .legendtext")).to_have_text(["finished", "diverged", "running", "queued"])
+        expect(page.locator("#why .legendtext")).to_have_text(["explore", "diversify"])
+        expect(page.locator("#lines polyline")).to_have_count(3)
+        expect(page.locator("#each [data-parameter]")).to_have_count(2)
+        page.select_option("#map-x", "alpha")
+        page.select_option("#map-y", "omega_x")
+        expect(page.locator("#map .xtitle")).to_have_text("alpha (rad)")
+        ready(browser, page.url.removeprefix(browser.url))
+        expect(page.locator("#map .ytitle")).to_have_text("omega_x (rad/s)")
+        browser.assert_calm()
+
+    def test_a_range_on_an_axis_picks_the_lines_through_it(self, browser, record):
+        for value in (0.1, 0.5, 0.9):
+            record.one(value=value)
+        page = ready(browser, "/studies/jump/parameters")
+        box = page.locator("[data-axis=value]").bounding_box()
+        x = box["x"] + box["width"] / 2
+        page.mouse.move(x, box["y"] + 1)
+        page.mouse.down()
+        page.mouse.move(x, box["y"] + 30, steps=3)
+        page.mouse.up()
+        chosen = page.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--accent').trim()")
+        expect(page.locator(f"#lines polyline[stroke='{chosen}']")).to_have_count(1)
+
+
+class TestWorkers:
+    def test_they_come_and_go(self, browser, record):
+        page = ready(browser, "/workers")
+        expect(page.locator("#idle")).to_be_visible()
+        (trial,) = record.propose()
+        attempt = record.start(trial)
+        expect(page.locator("#workers tbody")).to_contain_text("default-0 on runner (process 99)")
+        record.finish(attempt, trial, value=0.5, features=(0.1,))
+        expect(page.locator("#idle")).to_be_visible()
+        browser.assert_calm()
+
+
+class TestPictures:
+    def test_a_chart_can_be_saved(self, browser, record):
+        record.one()
+        page = ready(browser, "/studies/jump")
+        expect(page.locator("#value-chart .points path")).to_have_count(1)
+        with page.expect_download() as download:
+            page.click("text=Save as SVG")
+        assert download.value.suggested_filename == "jump-value.svg"
+        assert b"<svg" in download.value.path().read_bytes()[:200]
+        browser.assert_calm()

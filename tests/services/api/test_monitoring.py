@@ -1,0 +1,75 @@
+"""Who is doing what, and the counts for Prometheus."""
+
+from __future__ import annotations
+
+import re
+
+from services.api.monitoring import exposition
+from services.states import TrialState
+from tests.record import Record
+
+
+def test_workers_are_the_attempts_that_run_now(client, record):
+    record.one()
+    first, second = record.propose(2)
+    attempt = record.start(first)
+    record.report(attempt, 2, loss=1.0)
+    listing = client.get("/api/v1/workers").json()
+    (worker,) = listing["workers"]
+    assert (worker["study"], worker["trial"], worker["worker"], worker["iteration"]) == ("jump", 1, "default-0", 2)
+    # 1,400 samples in 3 seconds of training.
+    assert worker["samples_per_second"] == 1400 / 3
+    assert listing["queue"] == [
+        {
+            "study": "jump",
+            "state": "running",
+            "pool": "default",
+            "priority": 0,
+            "parallel": 2,
+            "running": 1,
+            "queued": 1,
+        }
+    ]
+    assert second.number == 2
+
+
+def test_a_worker_that_has_not_reported_has_no_rate(client, record):
+    record.start(record.propose()[0])
+    assert client.get("/api/v1/workers").json()["workers"][0]["samples_per_second"] is None
+
+
+def test_finished_studies_wait_for_nobody(client, record):
+    record.one()
+    record.end()
+    listing = client.get("/api/v1/workers").json()
+    assert (listing["workers"], listing["queue"]) == ([], [])
+
+
+def test_prometheus_reads_what_the_record_holds(client, store, record):
+    record.one(value=0.625)
+    record.one(state=TrialState.FAILED)
+    answer = client.get("/metrics")
+    assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
+    lines = answer.text.splitlines()
+    for line in (
+        'halma_studies{state="running"} 1',
+        'halma_trials{study="jump",state="complete"} 1',
+        'halma_trials{study="jump",state="failed"} 1',
+        'halma_samples_total{study="jump"} 14000',
+        'halma_training_seconds_total{study="jump"} 63.0',
+        'halma_best_value{study="jump"} 0.625',
+        f"halma_events_total {store.last_event()}",
+        "halma_viewers 0",
+    ):
+        assert line in lines
+
+
+def test_every_line_is_of_the_text_format(store, artifacts):
+    Record(store, artifacts, "first").begin()
+    sample = re.compile(r'^[a-z_]+(\{[a-z]+="[^"\n]*"(,[a-z]+="[^"\n]*")*\})? -?[0-9.e+-]+$')
+    for line in "".join(exposition(store.studies(), 7, 0)).splitlines():
+        assert line.startswith(("# HELP ", "# TYPE ")) or sample.match(line), line
+
+
+def test_prometheus_needs_the_token_too(anyone):
+    assert anyone.get("/metrics").status_code == 401
