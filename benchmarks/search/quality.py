@@ -116,7 +116,8 @@ def run_all(
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     wanted = {(c, p, s) for c in configs for p in problems for s in range(seeds)}
     have = {(r["config"], r["problem"], r["seed"]): r for r in done}
-    jobs = [(c, *configs[c], p, s) for (c, p, s) in sorted(wanted - set(have))]
+    todo = sorted(wanted - set(have), key=lambda k: (k[2], k[1], k[0]))  # seed by seed: what is done is balanced
+    jobs = [(c, *configs[c], p, s) for (c, p, s) in todo]
     with path.open("a") as out, ProcessPoolExecutor(processes) as pool:
         for r in pool.map(_job, jobs, chunksize=2):
             have[r["config"], r["problem"], r["seed"]] = r
