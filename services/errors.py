@@ -40,7 +40,7 @@ class WrongState(BadInput):
 
 
 class DatabaseUnavailable(BadInput):
-    """The trial database can't be opened, or is of another schema."""
+    """The trial database can't be opened, reached or written, or is of another schema."""
 
 
 class ArtifactDamaged(HalmaError):
@@ -49,3 +49,9 @@ class ArtifactDamaged(HalmaError):
 
 class Refused(HalmaError):
     """A transition was refused by its guard (state or fencing token). Nothing was written."""
+
+
+class InterruptedByUser(HalmaError):
+    """Ctrl-C or SIGTERM: the study is resumable."""
+
+    exit_code = 130

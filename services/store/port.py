@@ -267,6 +267,9 @@ class Change(Protocol):
     ) -> AttemptRow:
         """`queued` -> `running` with a new attempt, whose token is higher than any before it in this trial."""
 
+    def began(self, attempt_id: int, token: int, *, host: str, pid: int) -> None:
+        """A worker process has taken the attempt up: which, where. Raises the beat. The event is `began`."""
+
     def beat(self, attempt_id: int, token: int) -> None:
         """Say that the attempt lives. Writes no event."""
 

@@ -1,0 +1,208 @@
+// The scene of one replay: the athlete's bodies as the physics has them, bar and mat, forces, the path of the jump.
+// World frame: x through the bar, y up, metres. Colours and first view are those of the pictures the worker renders.
+import {
+  AmbientLight, ArrowHelper, BasicShadowMap, BoxGeometry, BufferAttribute, BufferGeometry, CapsuleGeometry, Color, DirectionalLight, Fog, Group,
+  HemisphereLight, Line, LineBasicMaterial, Mesh, MeshLambertMaterial, PCFShadowMap, PerspectiveCamera, PlaneGeometry,
+  Quaternion, Scene, SphereGeometry, Vector3, WebGLRenderer,
+} from "./vendor/three.module.js";
+import { OrbitControls } from "./vendor/OrbitControls.js";
+
+const EYE = new Vector3(-1.7, 0.55, 3.1);
+const FIELD = 42;
+const LEFT = 0xed7d30;
+const RIGHT = 0x2973bd;
+const TRUNK = 0x4d5461;
+const SKIN = 0xd9a887;
+const GRAVITY = 9.81;
+const WEIGHT_ARROW = 0.3; // metres for a force of one body weight
+
+export class NoWebGL extends Error {}
+
+let known = null;
+
+// What this browser can draw. Without a graphics card the processor does it, and each pixel's fourfold smoothing shows
+// in the frame rate.
+function capabilities() {
+  if (known) return known;
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) throw new NoWebGL("This browser has no WebGL, which the moving picture needs.");
+  const names = gl.getExtension("WEBGL_debug_renderer_info");
+  const name = String(names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "");
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  known = { software: /swiftshader|llvmpipe|software/i.test(name) };
+  return known;
+}
+
+function geometry({ shape, size }) {
+  if (shape === "sphere") return new SphereGeometry(size[0], 20, 14);
+  if (shape === "box") return new BoxGeometry(...size);
+  // Bullet's capsules lie along z, three's along y.
+  return new CapsuleGeometry(size[0], size[1], 6, 16).rotateX(Math.PI / 2);
+}
+
+function colourOf(name) {
+  if (name === "neck") return SKIN;
+  return name.startsWith("left") ? LEFT : name.startsWith("right") ? RIGHT : TRUNK;
+}
+
+export class Stage {
+  constructor(canvas, replay, { onDraw = () => {} } = {}) {
+    this.replay = replay;
+    this.onDraw = onDraw;
+    this.follow = true;
+    this.time = 0;
+    const { software } = capabilities();
+    this.renderer = new WebGLRenderer({ canvas, antialias: !software, alpha: true });
+    this.sharpest = software ? 1 : 2;
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.type = software ? BasicShadowMap : PCFShadowMap;
+    this.shadowSize = software ? 512 : 1024;
+    this.scene = new Scene();
+    // The floor ends where nobody can see it.
+    this.scene.fog = new Fog(0xe6eaed, 7, 19);
+    this.camera = new PerspectiveCamera(FIELD, 1, 0.05, 60);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.maxPolarAngle = Math.PI / 2 - 0.02;
+    this.controls.minDistance = 0.8;
+    this.controls.maxDistance = 14;
+    this.controls.addEventListener("change", () => this.draw());
+    this.#light();
+    this.#furnish();
+    this.#athlete();
+    this.#path();
+    this.home();
+  }
+
+  #light() {
+    this.scene.add(new HemisphereLight(0xffffff, 0x8a8f96, 1.5), new AmbientLight(0xffffff, 0.25));
+    const sun = new DirectionalLight(0xffffff, 2.1);
+    sun.position.set(-3, 6, 4.5);
+    sun.castShadow = true;
+    sun.shadow.mapSize.set(this.shadowSize, this.shadowSize);
+    Object.assign(sun.shadow.camera, { left: -4, right: 4, top: 4, bottom: -4, near: 0.5, far: 16 });
+    sun.shadow.bias = -0.0006;
+    this.scene.add(sun, sun.target);
+  }
+
+  #solid(shape, colour) {
+    const mesh = new Mesh(shape, new MeshLambertMaterial({ color: new Color(colour) }));
+    mesh.castShadow = mesh.receiveShadow = true;
+    return mesh;
+  }
+
+  #box(size, centre, colour) {
+    const mesh = this.#solid(new BoxGeometry(...size), colour);
+    mesh.position.set(...centre);
+    this.scene.add(mesh);
+    return mesh;
+  }
+
+  #furnish() {
+    const { bar, mat_height: mat } = this.replay.header;
+    const floor = this.#solid(new PlaneGeometry(40, 40).rotateX(-Math.PI / 2), 0xb9bfc4);
+    floor.castShadow = false;
+    floor.position.y = -0.021;
+    this.scene.add(floor);
+    this.#box([6.2, 0.02, 12], [-3, -0.01, 0], 0xcc6b54).castShadow = false;
+    this.#box([4, mat, 6], [2.05, mat / 2, 0], 0x5c9985);
+    this.#box([0.04, 0.04, 4], [0, bar - 0.02, 0], 0xf2cc26);
+    for (const z of [-2, 2]) this.#box([0.06, bar + 0.2, 0.06], [0, bar / 2 + 0.1, z], 0xe6e6e6);
+  }
+
+  #athlete() {
+    const { header, bodies } = this.replay;
+    this.bodies = Array.from({ length: bodies }, () => new Group());
+    for (const part of header.shapes) {
+      const mesh = this.#solid(geometry(part), colourOf(header.bodies[part.body]));
+      mesh.position.set(...part.offset);
+      mesh.quaternion.set(...part.rotation);
+      this.bodies[part.body].add(mesh);
+    }
+    this.scene.add(...this.bodies);
+    this.weight = header.masses.reduce((sum, mass) => sum + mass, 0) * GRAVITY;
+    this.foot = header.bodies.indexOf(header.foot);
+    this.arrow = new ArrowHelper(new Vector3(0, 1, 0), new Vector3(), 1, 0x8a2be2, 0.12, 0.08);
+    this.arrow.visible = false;
+    this.scene.add(this.arrow);
+  }
+
+  #path() {
+    const points = new BufferGeometry();
+    points.setAttribute("position", new BufferAttribute(new Float32Array(this.replay.arrays.com), 3));
+    this.path = new Line(points, new LineBasicMaterial({ color: 0x101418, transparent: true, opacity: 0.55 }));
+    this.scene.add(this.path);
+  }
+
+  com(time) {
+    const { arrays, frames, step } = this.replay;
+    const at = Math.max(0, Math.min(time / step, frames - 1));
+    const [i, k] = [Math.floor(at), Math.min(Math.floor(at) + 1, frames - 1)];
+    const a = new Vector3().fromArray(arrays.com, 3 * i);
+    return a.lerp(new Vector3().fromArray(arrays.com, 3 * k), at - i);
+  }
+
+  // The view of the worker's pictures: from beside the bar, on the athlete's side.
+  home() {
+    const at = this.com(this.time);
+    this.controls.target.copy(at);
+    this.camera.position.copy(at).add(EYE);
+    this.controls.update();
+  }
+
+  // The pose at a time, between the frames on either side.
+  seek(time) {
+    const { arrays, frames, bodies, step } = this.replay;
+    const before = this.com(this.time);
+    this.time = time;
+    const at = Math.max(0, Math.min(time / step, frames - 1));
+    const [i, k] = [Math.floor(at), Math.min(Math.floor(at) + 1, frames - 1)];
+    const share = at - i;
+    const [one, other] = [new Vector3(), new Quaternion()];
+    for (let body = 0; body < bodies; body++) {
+      const [from, to] = [i * bodies + body, k * bodies + body];
+      this.bodies[body].position.fromArray(arrays.position, 3 * from).lerp(one.fromArray(arrays.position, 3 * to), share);
+      this.bodies[body].quaternion.fromArray(arrays.orientation, 4 * from).slerp(other.fromArray(arrays.orientation, 4 * to), share);
+    }
+    this.force = arrays.ground_force[Math.round(at)] / this.weight;
+    this.arrow.visible = this.foot >= 0 && this.force > 0.02;
+    if (this.arrow.visible) {
+      const foot = this.bodies[this.foot].position;
+      this.arrow.position.set(foot.x, 0, foot.z);
+      this.arrow.setLength(this.force * WEIGHT_ARROW, Math.min(0.12, 0.4 * this.force * WEIGHT_ARROW), 0.08);
+    }
+    this.path.geometry.setDrawRange(0, i + 2);
+    if (this.follow) {
+      const moved = this.com(time).sub(before);
+      this.controls.target.add(moved);
+      this.camera.position.add(moved);
+    }
+    this.controls.update();
+    this.draw();
+  }
+
+  // Look from where another stage looks, each at its own athlete.
+  lookLike(other) {
+    this.camera.position.copy(other.camera.position).sub(other.controls.target).add(this.controls.target);
+    this.controls.update();
+  }
+
+  resize(width, height) {
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, this.sharpest));
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.draw();
+  }
+
+  draw() {
+    this.renderer.render(this.scene, this.camera);
+    this.onDraw();
+  }
+
+  dispose() {
+    this.scene.traverse((part) => { part.geometry?.dispose(); part.material?.dispose?.(); });
+    this.controls.dispose();
+    this.renderer.dispose();
+    this.renderer.forceContextLoss();
+  }
+}

@@ -1,0 +1,72 @@
+// A study file by paste or upload; what is wrong with it is shown at its line.
+import { post } from "./live.js";
+import { element } from "./plain.js";
+
+const form = document.getElementById("submit");
+const text = document.getElementById("text");
+const lines = document.getElementById("lines");
+const problems = document.getElementById("problems");
+const DRAFT = "halma-draft";
+let name = "study.yaml";
+
+function number(wrong = new Set()) {
+  const count = Math.max(text.value.split("\n").length, 24);
+  text.rows = count;
+  lines.replaceChildren(...Array.from({ length: count }, (_, i) => element("li", { textContent: i + 1, ...(wrong.has(i + 1) ? { dataset: { wrong: "" }, title: "see below" } : {}) })));
+}
+
+function goTo(line) {
+  const start = text.value.split("\n").slice(0, line - 1).join("\n").length + (line > 1 ? 1 : 0);
+  text.focus();
+  text.setSelectionRange(start, start + (text.value.split("\n")[line - 1] ?? "").length);
+  lines.children[line - 1]?.scrollIntoView({ block: "center" });
+}
+
+function show(error) {
+  const found = error.problem?.problems?.length ? error.problem.problems : [{ line: null, field: "", message: error.message }];
+  number(new Set(found.map((problem) => problem.line)));
+  problems.replaceChildren(...found.map((problem) => element(
+    "li", {},
+    ...(problem.line ? [element("button", { type: "button", textContent: `line ${problem.line}`, onclick: () => goTo(problem.line) })] : []),
+    ...(problem.field ? [element("code", { textContent: problem.field }), ": "] : []),
+    problem.message,
+  )));
+}
+
+if (form) {
+  if (!text.value) text.value = sessionStorage.getItem(DRAFT) ?? "";
+  number();
+  text.oninput = () => { sessionStorage.setItem(DRAFT, text.value); problems.replaceChildren(); number(); };
+  // Tab indents; Escape first, then Tab, leaves: so the keyboard isn't trapped.
+  let leave = false;
+  text.onkeydown = (event) => {
+    if (event.key === "Escape") leave = true;
+    else if (event.key === "Tab" && !leave && !event.shiftKey) { event.preventDefault(); text.setRangeText("  ", text.selectionStart, text.selectionEnd, "end"); number(); }
+    else if (event.key !== "Tab") leave = false;
+  };
+  document.getElementById("upload").onchange = async (event) => {
+    const [file] = event.target.files;
+    if (!file) return;
+    if (file.size > 256 * 1024) { show(new Error(`${file.name}: expected a study file of at most 256 KiB, found ${Math.round(file.size / 1024)} KiB`)); return; }
+    name = file.name;
+    text.value = await file.text();
+    text.oninput();
+  };
+  form.onsubmit = async (event) => {
+    event.preventDefault();
+    const send = document.getElementById("send");
+    send.disabled = true;
+    problems.replaceChildren();
+    document.getElementById("sending").textContent = "Checking …";
+    try {
+      const study = await post("/studies", { text: text.value, name });
+      sessionStorage.removeItem(DRAFT);
+      location.assign(`/studies/${encodeURIComponent(study.name)}`);
+    } catch (error) {
+      show(error);
+    } finally {
+      send.disabled = false;
+      document.getElementById("sending").textContent = "";
+    }
+  };
+}

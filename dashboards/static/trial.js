@@ -1,0 +1,74 @@
+// A trial, live: its curve grows, and what the server renders is fetched again when the trial's state changes.
+import { Curves } from "./curves.js";
+import { Live, api, banner } from "./live.js";
+import { data, localTimes } from "./plain.js";
+
+const page = data();
+const path = `/studies/${encodeURIComponent(page.study)}/trials/${page.trial}`;
+const curves = new Curves(document.getElementById("curves"), document.getElementById("metric-choice"), path);
+
+async function motion() {
+  const form = document.getElementById("beside");
+  if (!form || form.dataset.wired) return;
+  form.dataset.wired = "yes";
+  const { besides } = await import("./beside.js");
+  besides(form, document.getElementById("motions"), page);
+}
+
+motion();
+
+// Replace the parts that the server renders by how it renders them now; what didn't change keeps its place and focus.
+async function refresh() {
+  const answer = await fetch(location.href, { headers: { accept: "text/html" } });
+  if (answer.status === 404) { banner(`Trial ${page.trial} of ${page.study} does not exist any more.`); return; }
+  if (!answer.ok || answer.redirected) throw new Error("the page could not be fetched");
+  const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
+  localTimes(fresh);
+  for (const part of document.querySelectorAll("[data-live]")) {
+    const news = fresh.querySelector(`[data-live="${part.dataset.live}"]`);
+    const same = !news || news.innerHTML === part.innerHTML;
+    if (!same && !("once" in part.dataset && part.querySelector("halma-replay"))) part.replaceChildren(...news.childNodes);
+  }
+  motion();
+}
+
+let busy = false;
+let again = false;
+async function update({ rendered }) {
+  again ||= rendered;
+  if (busy) return;
+  busy = true;
+  try {
+    await curves.refresh();
+    while (again) { again = false; await refresh(); }
+  } catch (error) {
+    console.warn(error.message);
+  } finally {
+    busy = false;
+    if (again) setTimeout(() => update({ rendered: false }), 500);
+  }
+}
+
+curves.refresh().catch((error) => banner(error.message)).finally(() => { document.body.dataset.ready = "yes"; });
+let last = 0;
+new Live({
+  position: page,
+  study: page.study,
+  onFrame(frame) {
+    if (frame.type === "deleted") { banner(`The study ${page.study} was deleted. What you see is what was known of it.`); return; }
+    if (frame.type !== "events") return;
+    const mine = frame.events.filter((event) => event.trial === page.trial);
+    if (!mine.length) return;
+    // Iterations come often and change two numbers; the rest of the page only changes with the state.
+    const changed = mine.some((event) => event.kind !== "progress");
+    const due = Date.now() - last > 2000;
+    if (changed || due) last = Date.now();
+    update({ rendered: changed || due });
+  },
+  async onReset() {
+    const server = await api("/server");
+    await curves.reload();
+    await refresh();
+    return server;
+  },
+});

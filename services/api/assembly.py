@@ -1,0 +1,56 @@
+"""The API as a FastAPI app, closed by the guard. The dashboards add their pages to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+
+from fastapi import FastAPI
+
+from services.api import health, routes, sockets
+from services.api.errors import add_error_handlers
+from services.api.guard import Guard, Hosts
+from services.api.live import Hub
+from services.api.service import Artifacts, Service, Submit, halma_version
+from services.auth import Gatekeeper
+from services.store.port import Store
+
+HEALTH = frozenset({"/healthz", "/readyz"})
+
+
+def create_api(
+    store: Store,
+    artifacts: Artifacts,
+    *,
+    gate: Gatekeeper,
+    submit: Submit | None = None,
+    on_change: Callable[[], None] | None = None,
+    hosts: Collection[str] = (),
+    open_paths: Collection[str] = (),
+) -> FastAPI:
+    """The API over a store.
+
+    Args:
+        store: the trial database.
+        artifacts: the trials' files.
+        gate: knows token and sessions.
+        submit: takes study files; None for a server that only shows.
+        on_change: called after something was asked for.
+        hosts: further names of this service, beside localhost and the machine's own.
+        open_paths: paths that need no identity, beside the health checks.
+    """
+    # FastAPI's own pages of documentation load their scripts from another host; the description itself is ours.
+    app = FastAPI(
+        title="halma",
+        version=halma_version(),
+        summary="Search for motor skills: studies, trials, events",
+        openapi_url="/api/v1/openapi.json",
+        docs_url=None,
+        redoc_url=None,
+    )
+    app.state.service = Service(store, artifacts, submit, on_change or (lambda: None), Hub(store))
+    add_error_handlers(app)
+    app.include_router(routes.router)
+    app.include_router(sockets.router)
+    app.include_router(health.router)
+    app.add_middleware(Guard, gate=gate, hosts=Hosts.of_this_machine(hosts), open_paths=HEALTH | frozenset(open_paths))
+    return app

@@ -1,0 +1,139 @@
+"""What arrives from workers, written down: each message becomes a guarded transition, and then a change of view."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from services.dispatch.port import Beat, Began, Crashed, Ended, Message, Reported, Stopped, Vanished
+from services.drive import Drive, Live
+from services.errors import Refused
+from services.held import Effect, Held
+from services.states import TrialState
+from services.store.port import Change, Result, TrialRow
+from workers.contracts import Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Arrivals:
+    """Takes messages of workers into the record.
+
+    Args:
+        held: the driven studies.
+        clock: monotonic seconds.
+    """
+
+    held: Held
+    clock: Callable[[], float]
+
+    def take(self, messages: Sequence[Message]) -> None:
+        """Write messages that arrived together, in one commit. A fenced attempt's are refused, and that is noted."""
+
+        def write(change: Change) -> list[Effect]:
+            effects: list[Effect] = []
+            for message in messages:
+                try:
+                    effects += self._apply(change, message)
+                except Refused as refusal:
+                    study = self.held.study_of.get(message.attempt)
+                    change.note(
+                        "refused", study_id=study, attempt=message.attempt, token=message.token, reason=str(refusal)
+                    )
+            return effects
+
+        if [message for message in messages if self._worth_a_commit(message)]:
+            self.held.commit(write, again=True)
+
+    def _worth_a_commit(self, message: Message) -> bool:
+        """A beat of a live attempt only moves the driver's own clock; it is written with the driver's beat."""
+        found = self.held.live(message)
+        if found is None:
+            return True
+        live = found[1]
+        live.seen = self.clock()
+        live.taken_up = True
+        return not isinstance(message, Beat)
+
+    def _apply(self, change: Change, message: Message) -> list[Effect]:
+        """Write one message; returns what then happens in memory. Raises `Refused` for a fenced attempt."""
+        found = self.held.live(message)
+        if found is None:
+            # The store is asked all the same, so that the refusal and its reason are its own.
+            change.beat(message.attempt, message.token)
+            raise Refused(f"attempt {message.attempt} is not driven here")
+        drive, live = found
+        effects: list[Effect] = []
+        match message:
+            case Began(host=host, pid=pid):
+                change.began(message.attempt, message.token, host=host, pid=pid)
+            case Beat():
+                change.beat(message.attempt, message.token)
+            case Reported():
+                change.report(
+                    message.attempt,
+                    message.token,
+                    iteration=message.iteration,
+                    metrics=message.metrics,
+                    samples=message.samples,
+                    seconds=message.seconds,
+                )
+            case Ended():
+                row = change.finish(message.attempt, message.token, _result(message))
+                effects = [lambda: self._ended(drive, live, row)]
+            case Stopped():
+                row = change.preempt(message.attempt, message.token, why_stopping(drive))
+                effects = [lambda: self.queued_again(drive, live, row, wait=0.0)]
+            case Crashed():
+                effects = self._crashed(change, drive, live, drive.open[live.trial], message)
+            case Vanished():
+                effects = self.vanished(change, drive, live, message.reason)
+        return effects
+
+    def _crashed(self, change: Change, drive: Drive, live: Live, trial: TrialRow, message: Crashed) -> list[Effect]:
+        if message.retry and trial.retries < drive.spec.retries.limit:
+            row = change.fail(live.attempt, live.token, message.message)
+            return [lambda: self.queued_again(drive, live, row, wait=_backoff(drive, row))]
+        result = Result(TrialState.FAILED, samples=trial.samples, seconds=trial.seconds, message=message.message)
+        row = change.finish(live.attempt, live.token, result)
+        return [lambda: self._ended(drive, live, row)]
+
+    def vanished(self, change: Change, drive: Drive, live: Live, reason: str) -> list[Effect]:
+        row = change.lose(live.attempt, live.token, reason)
+        if row.retries <= drive.spec.retries.limit:
+            return [lambda: self.queued_again(drive, live, row, wait=_backoff(drive, row))]
+        final = change.give_up(row.id, drive.token, f"its worker was lost {row.retries} times; the last time: {reason}")
+        return [lambda: self._ended(drive, live, final)]
+
+    def _ended(self, drive: Drive, live: Live, row: TrialRow) -> None:
+        self.held.forget(drive, live)
+        drive.end_of(row)
+
+    def queued_again(self, drive: Drive, live: Live, row: TrialRow, *, wait: float) -> None:
+        self.held.forget(drive, live)
+        drive.open[row.number] = row
+        drive.not_before[row.number] = self.clock() + wait
+
+
+def why_stopping(drive: Drive) -> str:
+    """The reason for an attempt of a study to be interrupted."""
+    return drive.leaving.reason if drive.leaving else "asked to stop"
+
+
+def _backoff(drive: Drive, trial: TrialRow) -> float:
+    """Seconds to wait before a retry: doubling, at most a minute."""
+    return min(60.0, drive.spec.retries.backoff_seconds * 2.0 ** max(0, trial.retries - 1))
+
+
+def _result(message: Ended) -> Result:
+    """The worker's outcome in the store's words."""
+    outcome = Outcome.from_json(message.outcome)
+    return Result(
+        state=TrialState(outcome.status),
+        value=outcome.value,
+        features=outcome.features,
+        samples=outcome.cost.samples,
+        seconds=outcome.cost.seconds,
+        message=outcome.message,
+        details=outcome.details,
+        artifacts=message.artifacts,
+    )

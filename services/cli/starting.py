@@ -1,0 +1,138 @@
+"""Commands that start studies: run, submit, and the service itself."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from services.admission import admit, find, refuse_changes
+from services.cli.driving import drive_here
+from services.cli.findings import report
+from services.cli.session import AsJson, Db, print_json, say, session
+from services.errors import BadInput, NameTaken
+from services.settings import find_settings
+from services.spec_file import BadStudy, read_draft
+from services.states import StudyState
+
+File = Annotated[Path, typer.Argument(metavar="FILE", help="Study file (YAML); `halma schema` describes it.")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="FIELD=VALUE", help="Override a field, e.g. search.trials=4.")
+]
+RayAddress = Annotated[
+    str | None, typer.Option("--ray", metavar="ADDRESS", help="Join this Ray cluster instead of starting a local Ray.")
+]
+NewName = Annotated[str | None, typer.Option("--name", help="Name of the study, instead of the one in the file.")]
+
+
+def run(
+    file: File,
+    overrides: Overrides = None,
+    name: NewName = None,
+    inline: Annotated[bool, typer.Option("--inline", help="Run trials in this process, without Ray.")] = False,
+    cores: Annotated[int | None, typer.Option("--cores", min=1, help="Cores to use; default: all.")] = None,
+    db: Db = None,
+) -> None:
+    """Run a study here: start it, resume it where it was interrupted, or show it where it is finished."""
+    from services.spec_check import check  # noqa: PLC0415 - the search and the task, which take seconds to import
+
+    read = read_draft(file, _with_name(overrides, name))
+    spec = check(read)
+    with session(db) as opened:
+        row = find(opened.store, spec.name)
+        if row is None:
+            admit(opened.store, spec)
+        else:
+            refuse_changes(row, read.spec or spec, read.source.origin(("name",)))
+            if row.state is StudyState.COMPLETE:
+                report(opened, row)
+                return
+        drive_here(opened, spec.name, inline=inline, take_over=False, cores=cores)
+
+
+def submit(
+    file: File,
+    overrides: Overrides = None,
+    name: NewName = None,
+    server: Annotated[
+        str | None, typer.Option("--server", help="URL of the service; default: the one of this home.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Hand a study to a running service (`halma serve`)."""
+    from services.client import Client  # noqa: PLC0415 - HTTP, which other commands don't speak
+
+    settings = find_settings()
+    given = _with_name(overrides, name)
+    # What can be told from the form alone is told here, also where no service runs; the rest is the service's to check.
+    read = read_draft(file, given)
+    if read.problems:
+        raise BadStudy(read.problems)
+    with Client(settings, server) as client:
+        try:
+            study = client.submit(file.read_text(encoding="utf-8"), given, str(file))
+        except NameTaken as error:
+            raise NameTaken(f"{read.source.origin(('name',))}: {error}") from None
+        url = client.url
+    if as_json:
+        print_json(study)
+        return
+    name = str(study.get("name"))
+    say(f"Submitted {name} to {url}. Follow it: halma watch {name}")
+
+
+def serve(
+    host: Annotated[str, typer.Option("--host", help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[
+        int | None, typer.Option("--port", min=0, max=65535, help="Port; default 8642, and 0 takes a free one.")
+    ] = None,
+    pools: Annotated[
+        list[str] | None,
+        typer.Option("--pool", metavar="NAME=CORES", help="A worker pool; default: default=all cores."),
+    ] = None,
+    hosts: Annotated[
+        list[str] | None, typer.Option("--allow-host", help="A further name under which browsers reach the service.")
+    ] = None,
+    ray: RayAddress = None,
+    db: Db = None,
+) -> None:
+    """Serve the API and the pages, and drive every study that is submitted, until Ctrl-C."""
+    from services import serving  # noqa: PLC0415 - the web framework takes a second to import
+    from services.ray_environment import prepare  # noqa: PLC0415 - as above
+
+    sizes = read_pools(pools or []) or {"default": os.cpu_count() or 1}
+    settings = find_settings(db)
+    listen = serving.PORT if port is None else port
+
+    @contextmanager
+    def coordinator() -> Iterator[None]:
+        prepare(ray)
+        from services.ray_running import coordinator_serving  # noqa: PLC0415 - Ray reads the environment on import
+
+        folder = str(Path.cwd())
+        with coordinator_serving(settings.database, settings.artifacts, folder, sizes, ray_address=ray):
+            yield
+
+    serving.serve(settings, start_coordinator=coordinator, say=say, host=host, port=listen, hosts=hosts or [])
+
+
+def _with_name(overrides: list[str] | None, name: str | None) -> list[str]:
+    return [*(overrides or []), *([f"name={json.dumps(name)}"] if name is not None else [])]
+
+
+def read_pools(texts: list[str]) -> dict[str, int]:
+    """`["default=2", "gpu=1"]` as cores by pool. Raises `BadInput`."""
+    pools: dict[str, int] = {}
+    for text in texts:
+        pool, _, size = text.partition("=")
+        if not pool or not size.isascii() or not size.isdigit() or int(size) < 1:
+            raise BadInput(f"--pool: expected NAME=CORES such as default=4, found {text}")
+        if pool in pools:
+            raise BadInput(f"--pool: expected each pool once, found {pool} twice")
+        pools[pool] = int(size)
+    return pools

@@ -1,0 +1,122 @@
+"""Listings as tables for people; `services.listings` is what scripts get."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from services.cli.layout import Column, fitted
+from services.cli.words import count, duration, first_line, value_of
+from services.spec import Behaviour
+from services.store.port import StudyRow, TrialRow
+
+STATE_STYLES: Mapping[str, str] = {
+    "running": "cyan",
+    "complete": "green",
+    "paused": "yellow",
+    "queued": "dim",
+    "infeasible": "yellow",
+    "diverged": "magenta",
+    "failed": "red",
+    "cancelled": "dim",
+}
+
+MOST_COLUMNS = 8
+"""Parameters that get a column each; a space with more is shown in one column."""
+
+
+def state_text(state: str) -> Text:
+    """A state in its colour."""
+    return Text(state, style=STATE_STYLES.get(state, ""))
+
+
+def done_of(row: StudyRow) -> str:
+    """Finished trials of those wanted: `12 of 20`."""
+    open_trials = row.counts.get("queued", 0) + row.counts.get("running", 0)
+    done = sum(row.counts.values()) - open_trials - row.counts.get("cancelled", 0)
+    return count(done) if row.target_trials is None else f"{count(done)} of {count(row.target_trials)}"
+
+
+def studies_table(rows: Sequence[StudyRow], width: int) -> RenderableType:
+    """`halma ls`."""
+    return fitted(
+        [
+            Column("study", [row.name for row in rows], left=True),
+            Column("state", [state_text(row.state.value) for row in rows], left=True),
+            Column("task", [str(row.spec.get("task", {}).get("name", "-")) for row in rows], rank=3, left=True),
+            Column("strategy", [str(row.spec.get("search", {}).get("strategy", "-")) for row in rows], 4, left=True),
+            Column("trials", [done_of(row) for row in rows]),
+            Column("best", [value_of(row.best_value) for row in rows]),
+            Column("samples", [count(row.samples) for row in rows], rank=6),
+            Column("training", [duration(row.seconds) for row in rows], rank=2),
+            Column("created", [row.created_at.astimezone().strftime("%Y-%m-%d %H:%M") for row in rows], 5, left=True),
+            Column("note", [first_line(row.reason) for row in rows], rank=1, sentences=True),
+        ],
+        width,
+    )
+
+
+def with_unit(name: str, unit: str | None) -> str:
+    """A head with its unit below it: narrower than beside it."""
+    return f"{name}\n({unit})" if unit else name
+
+
+def parameter_columns(trials: Sequence[TrialRow], units: Mapping[str, str], rank: int = 0) -> list[Column]:
+    """The parameters of trials, a column each; one column for all where they are many."""
+    names = list(trials[0].params) if trials else []
+    if len(names) > MOST_COLUMNS:
+        cells = [", ".join(f"{name} {value_of(trial.params.get(name))}" for name in names) for trial in trials]
+        return [Column("parameters", cells, rank=rank, sentences=True)]
+    return [
+        Column(with_unit(name, units.get(name)), [value_of(trial.params.get(name)) for trial in trials], rank=rank)
+        for name in names
+    ]
+
+
+def feature_columns(trials: Sequence[TrialRow], behaviour: Behaviour | None) -> list[Column]:
+    """The features of trials, a column each."""
+    if behaviour is None:
+        return []
+    return [
+        Column(
+            with_unit(name, behaviour.unit),
+            [value_of(None if trial.features is None else trial.features[index]) for trial in trials],
+        )
+        for index, name in enumerate(behaviour.names)
+    ]
+
+
+def trials_table(
+    rows: Sequence[TrialRow], behaviour: Behaviour | None, units: Mapping[str, str], width: int
+) -> RenderableType:
+    """`halma trials`."""
+    with_z = any(trial.z is not None for trial in rows)
+    return fitted(
+        [
+            Column("trial", [str(trial.number) for trial in rows]),
+            Column("state", [state_text(trial.state.value) for trial in rows], left=True),
+            Column("value", [value_of(trial.value) for trial in rows]),
+            *feature_columns(rows, behaviour),
+            *([Column("z", [value_of(trial.z) for trial in rows])] if with_z else []),
+            *parameter_columns(rows, units, rank=2),
+            Column("samples", [count(trial.samples) for trial in rows], rank=4),
+            Column("time", [duration(trial.seconds) for trial in rows], rank=3),
+            Column("tries", [str(trial.attempts) for trial in rows], rank=5),
+            Column("note", [first_line(trial.message) for trial in rows], rank=1, sentences=True),
+        ],
+        width,
+    )
+
+
+def fields_table(fields: Mapping[str, Any]) -> Table:
+    """Names and values, one a line."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in fields.items():
+        table.add_row(Text(name), value if isinstance(value, Text) else Text(value_of(value)))
+    return table

@@ -1,0 +1,176 @@
+"""One attempt inside a worker process: the context it is given, its heartbeat, and what is said of its end."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import socket
+import threading
+import traceback
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import safetensors.numpy
+
+import services
+import workers
+from services.artifacts import ArtifactStore
+from services.dispatch.port import Assignment, Beat, Began, Crashed, Ended, Message, Reported, Stopped
+from services.errors import ArtifactDamaged
+from services.store.port import NewArtifact
+from workers.contracts import BadJob, Checkpoint, Context, Cost, Interrupted, Job
+from workers.run import run
+
+BEAT_SECONDS = 2.0
+"""A worker says that it lives this often, whatever its training does."""
+
+LOG_LINES = 2000
+"""A trial's log keeps its newest lines."""
+
+Send = Callable[[Message], None]
+
+
+def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
+    """A checkpoint as safetensors, with the counters and random states as JSON metadata."""
+    metadata = {"iteration": str(checkpoint.iteration), "state": json.dumps(checkpoint.state, sort_keys=True)}
+    return safetensors.numpy.save(dict(checkpoint.tensors), metadata)
+
+
+def decode_checkpoint(data: bytes) -> Checkpoint:
+    """The checkpoint that `encode_checkpoint` wrote."""
+    size = int.from_bytes(data[:8], "little")
+    metadata = json.loads(data[8 : 8 + size])["__metadata__"]
+    return Checkpoint(
+        iteration=int(metadata["iteration"]),
+        tensors=safetensors.numpy.load(data),
+        state=json.loads(metadata["state"]),
+    )
+
+
+class WorkerContext:
+    """The `workers.contracts.Context` of one attempt, on an artifact store and a way to send messages."""
+
+    def __init__(self, assignment: Assignment, artifacts: ArtifactStore, send: Send) -> None:
+        self._assignment = assignment
+        self._artifacts = artifacts
+        self._send = send
+        self._stop = threading.Event()
+        self._kept: dict[str, NewArtifact] = {}
+        self._log: list[str] = []
+
+    def request_stop(self) -> None:
+        """Make `stop_requested` true, from any thread."""
+        self._stop.set()
+
+    def stop_requested(self) -> bool:
+        return self._stop.is_set()
+
+    def report(self, iteration: int, metrics: Mapping[str, float], cost: Cost) -> None:
+        self._send(
+            Reported(
+                self._assignment.attempt,
+                self._assignment.token,
+                iteration=iteration,
+                # JSON has no NaN, and a curve no place for one: what isn't finite is left out of the iteration.
+                metrics={name: float(value) for name, value in metrics.items() if math.isfinite(value)},
+                samples=cost.samples,
+                seconds=cost.seconds,
+            )
+        )
+
+    def save_checkpoint(self, checkpoint: Checkpoint) -> None:
+        self._artifacts.put_checkpoint(
+            self._assignment.study_key, self._assignment.trial, checkpoint.iteration, encode_checkpoint(checkpoint)
+        )
+
+    def load_checkpoint(self) -> Checkpoint | None:
+        newest = self._artifacts.newest_checkpoint(self._assignment.study_key, self._assignment.trial)
+        return None if newest is None else decode_checkpoint(newest[1])
+
+    def save_artifact(self, name: str, data: bytes) -> None:
+        assignment = self._assignment
+        self._kept[name] = self._artifacts.put(assignment.study_key, assignment.trial, name, data)
+
+    def parent_artifact(self, name: str) -> bytes:
+        for artifact in self._assignment.parent_artifacts:
+            if artifact.name == name:
+                try:
+                    return self._artifacts.read(artifact)
+                except ArtifactDamaged as error:
+                    raise BadJob(f"The parent trial's {name} can't be used: {error}") from error
+        found = ", ".join(artifact.name for artifact in self._assignment.parent_artifacts) or "nothing"
+        raise BadJob(f"Expected the parent trial to have left {name}, found {found}.")
+
+    def log(self, message: str) -> None:
+        self._log.append(message)
+        del self._log[:-LOG_LINES]
+
+    def artifacts(self) -> tuple[NewArtifact, ...]:
+        """What the attempt has kept, with its log."""
+        if self._log:
+            self.save_artifact("log.txt", ("\n".join(self._log) + "\n").encode())
+        return tuple(self._kept.values())
+
+
+def users_traceback(error: BaseException) -> str:
+    """The traceback without our own frames in front: people want to see their code."""
+    ours = tuple(str(Path(package.__path__[0]).resolve()) + os.sep for package in (services, workers))
+    frames = traceback.extract_tb(error.__traceback__)
+    first = next((i for i, frame in enumerate(frames) if not frame.filename.startswith(ours)), 0)
+    lines = traceback.format_list(frames[first:]) + traceback.format_exception_only(error)
+    return "".join(lines).rstrip()
+
+
+class Attempt:
+    """An assignment being run. `run` blocks; `stop` may be called from another thread.
+
+    Args:
+        assignment: what to run.
+        artifacts: where checkpoints and results are kept.
+        send: called with each message, from `run`'s thread and, where it `beats`, from a second one.
+        beats: whether to say every `BEAT_SECONDS` that the attempt lives.
+    """
+
+    def __init__(self, assignment: Assignment, artifacts: ArtifactStore, send: Send, *, beats: bool = True) -> None:
+        self.assignment = assignment
+        self._send = send
+        self._beats = beats
+        self._context = WorkerContext(assignment, artifacts, send)
+
+    def stop(self) -> None:
+        """Ask for a stop at the next checkpoint."""
+        self._context.request_stop()
+
+    def run(self) -> None:
+        """Run to the end, beating meanwhile; exactly one of `Ended`, `Stopped`, `Crashed` is sent last."""
+        attempt, token = self.assignment.attempt, self.assignment.token
+        self._send(Began(attempt, token, host=socket.gethostname(), pid=os.getpid()))
+        over = threading.Event()
+        heart = threading.Thread(target=self._beat, args=(over,), name=f"beat-{attempt}", daemon=True)
+        if self._beats:
+            heart.start()
+        try:
+            last = self._last_message()
+        finally:
+            over.set()
+            if self._beats:
+                heart.join()
+        self._send(last)
+
+    def _beat(self, over: threading.Event) -> None:
+        while not over.wait(BEAT_SECONDS):
+            self._send(Beat(self.assignment.attempt, self.assignment.token))
+
+    def _last_message(self) -> Message:
+        attempt, token = self.assignment.attempt, self.assignment.token
+        context: Context = self._context
+        try:
+            outcome = run(Job.from_json(self.assignment.job), context)
+            return Ended(attempt, token, outcome=outcome.to_json(), artifacts=self._context.artifacts())
+        except Interrupted:
+            return Stopped(attempt, token)
+        except BadJob as error:
+            return Crashed(attempt, token, message=str(error), retry=False)
+        except Exception as error:  # noqa: BLE001 - a user's task may raise anything; its text goes to the record
+            return Crashed(attempt, token, message=users_traceback(error))

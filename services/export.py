@@ -1,0 +1,174 @@
+"""A study's trials for other tools: CSV, JSON, Parquet, and an Optuna database."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from services.errors import BadInput
+from services.listings import study_json, trial_json
+from services.report import behaviour_of, spec_of
+from services.spec import ResolvedSpec
+from services.states import OBSERVED_TRIAL
+from services.store.port import Store, StudyRow, TrialRow
+from services.translate import search_space
+
+
+class Format(StrEnum):
+    """What a study can be exported to."""
+
+    CSV = "csv"
+    JSON = "json"
+    PARQUET = "parquet"
+    OPTUNA = "optuna"
+
+
+SUFFIXES: Mapping[Format, str] = {
+    Format.CSV: ".csv",
+    Format.JSON: ".json",
+    Format.PARQUET: ".parquet",
+    Format.OPTUNA: ".optuna.db",
+}
+
+
+def columns(row: StudyRow, trials: Sequence[TrialRow]) -> list[dict[str, Any]]:
+    """Trials as flat rows: `param_...`, `feature_...` and `detail_...` columns, the same for each."""
+    behaviour = behaviour_of(row)
+    features = list(behaviour.names) if behaviour else []
+    params = sorted({name for trial in trials for name in trial.params})
+    details = sorted({name for trial in trials for name, value in trial.details.items() if _plain(value)})
+    return [
+        {
+            "number": trial.number,
+            "state": trial.state.value,
+            "stage": trial.stage,
+            **{f"param_{name}": trial.params.get(name) for name in params},
+            "z": trial.z,
+            "value": trial.value,
+            **{f"feature_{name}": value for name, value in _named(features, trial.features)},
+            "samples": trial.samples,
+            "seconds": trial.seconds,
+            "attempts": trial.attempts,
+            "warm_start": trial.warm_start,
+            "seed": trial.seed,
+            "position": trial.position,
+            "message": trial.message,
+            **{f"detail_{name}": _plain_or_none(trial.details.get(name)) for name in details},
+        }
+        for trial in trials
+    ]
+
+
+def write(store: Store, row: StudyRow, form: Format, path: Path) -> int:
+    """Export a study.
+
+    Args:
+        store: the trial database.
+        row: the study.
+        form: what to write.
+        path: where to; its folder must exist.
+
+    Returns:
+        How many trials were written.
+
+    Raises:
+        BadInput: nothing can be written there.
+    """
+    if not path.parent.is_dir():
+        raise BadInput(f"--output: expected a file in an existing folder, found no folder {path.parent}")
+    if path.is_dir():
+        raise BadInput(f"--output: expected a file, found the folder {path}")
+    if form is Format.OPTUNA:
+        return _write_optuna(store, row, path)
+    trials = store.trials(row.id)
+    try:
+        if form is Format.CSV:
+            path.write_text(csv_text(columns(row, trials)), encoding="utf-8")
+        elif form is Format.JSON:
+            listed = [trial_json(trial, store.artifacts(trial.id)) for trial in trials]
+            whole = {"study": study_json(row, spec=True), "trials": listed}
+            path.write_text(json.dumps(whole, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+        else:
+            _write_parquet(columns(row, trials), path)
+    except OSError as error:
+        raise BadInput(
+            f"--output: expected a file that can be written, found {path}: {error.strerror or error}"
+        ) from None
+    return len(trials)
+
+
+def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows as CSV with a head; nothing is an empty cell."""
+    text = io.StringIO()
+    if rows:
+        writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    return text.getvalue()
+
+
+def _write_parquet(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    import pyarrow as pa  # noqa: PLC0415 - half a second that other formats needn't pay
+    import pyarrow.parquet as pq  # noqa: PLC0415 - as above
+
+    # What pyarrow can't guess: seeds are unsigned, and a column without any value has a type all the same.
+    types = {"seed": pa.uint64(), "z": pa.float64(), "value": pa.float64(), "warm_start": pa.int64()}
+    arrays = {
+        name: pa.array(
+            [row[name] for row in rows], type=pa.float64() if name.startswith("feature_") else types.get(name)
+        )
+        for name in (rows[0] if rows else {})
+    }
+    pq.write_table(pa.table(arrays), path)
+
+
+def _write_optuna(store: Store, row: StudyRow, path: Path) -> int:
+    from search.optuna_export import ExportRefused, Trial, export  # noqa: PLC0415 - half a second, as above
+
+    spec = spec_of(row)
+    if not isinstance(spec, ResolvedSpec):
+        raise BadInput(f"export: expected a study with a space, found that {row.name} has none")
+    if path.exists():
+        raise BadInput(f"--output: expected a new file for the Optuna database, found {path}, which exists")
+    trials = [
+        Trial(
+            params=trial.params,
+            status=trial.state.value,  # type: ignore[arg-type]  # the observed states are the statuses
+            value=trial.value,
+            started=trial.started_at,
+            finished=trial.finished_at,
+            attributes={
+                "number": trial.number,
+                "features": None if trial.features is None else list(trial.features),
+                "z": trial.z,
+                "samples": trial.samples,
+                "seconds": trial.seconds,
+                "warm_start": trial.warm_start,
+                "message": trial.message,
+            },
+        )
+        for trial in store.history(row.id)
+        if trial.state in OBSERVED_TRIAL
+    ]
+    try:
+        return export(row.name, search_space(spec), trials, f"sqlite:///{path}")
+    except ExportRefused as error:
+        raise BadInput(f"--output: {error}") from None
+
+
+def _named(names: Sequence[str], features: Sequence[float] | None) -> list[tuple[str, float | None]]:
+    values: Sequence[float | None] = features if features is not None else [None] * len(names)
+    return list(zip(names, values, strict=False))
+
+
+def _plain(value: Any) -> bool:
+    return value is None or isinstance(value, int | float | str)
+
+
+def _plain_or_none(value: Any) -> Any:
+    return value if _plain(value) else None

@@ -1,0 +1,195 @@
+"""The coordinator and the strategies as Ray actors, and the local Ray they run on."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from collections.abc import Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Any
+
+import ray
+
+from services.coordinator import Coordinator
+from services.dispatch.ray_workers import RayDispatcher, pool_resource
+from services.errors import HalmaError
+from services.proposing import (
+    ProposalRequest,
+    Proposed,
+    Proposer,
+    decode_proposed,
+    decode_request,
+    encode_proposed,
+    encode_request,
+)
+from services.states import StudyState
+from services.store.open import open_store
+from services.store.port import JSON
+
+Actor = Any
+"""A handle on an actor: what may be called on it is known to whoever made it."""
+
+
+STARTS = 3
+"""Ray gives its own processes 30 s to come up, which a machine under load can miss."""
+
+
+class StrategyActor:
+    """One study's strategy, in a process of its own: a slow model fit never delays a dispatch."""
+
+    def __init__(self, spec: Mapping[str, JSON]) -> None:
+        self._proposer = Proposer(spec)
+
+    def propose(self, text: str) -> str:
+        """The answer to a request, both as JSON text."""
+        return encode_proposed(self._proposer.propose(decode_request(text)))
+
+
+def start_strategy(spec: Mapping[str, JSON]) -> Actor:
+    """A strategy actor. It takes no core: it works while the trainings wait for it, and rests while they run."""
+    shaped: Actor = ray.remote(StrategyActor)
+    return shaped.options(num_cpus=0, max_restarts=0).remote(dict(spec))
+
+
+@dataclass(slots=True)
+class RayStrategist:
+    """The `services.proposing.Strategist` with an actor a study.
+
+    Args:
+        dispatcher: woken when an answer is ready.
+    """
+
+    dispatcher: RayDispatcher
+    _actors: dict[int, Actor] = field(default_factory=dict)
+    _specs: dict[int, Mapping[str, JSON]] = field(default_factory=dict)
+    _ready: list[Proposed] = field(default_factory=list)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def open(self, study: int, spec: Mapping[str, JSON]) -> None:
+        self._specs[study] = spec
+        self._actors[study] = start_strategy(spec)
+
+    def ask(self, request: ProposalRequest) -> None:
+        reference = self._actors[request.study].propose.remote(encode_request(request))
+        reference.future().add_done_callback(lambda future: self._answered(request, future))
+
+    def _answered(self, request: ProposalRequest, future: Future[str]) -> None:
+        error = future.exception()
+        if error is None:
+            answer = decode_proposed(future.result())
+        elif isinstance(error, ray.exceptions.RayActorError):
+            # The process was lost, not the strategy: a new one is told the record from its beginning.
+            self._actors[request.study] = start_strategy(self._specs[request.study])
+            answer = Proposed(request.study, missing_from=0)
+        else:
+            cause = error.cause if isinstance(error, ray.exceptions.RayTaskError) else error
+            answer = Proposed(request.study, error=f"{type(cause).__name__}: {cause}")
+        with self._lock:
+            self._ready.append(answer)
+        self.dispatcher.wake()
+
+    def answers(self) -> list[Proposed]:
+        with self._lock:
+            ready, self._ready = self._ready, []
+        return ready
+
+    def close(self, study: int) -> None:
+        self._specs.pop(study, None)
+        actor = self._actors.pop(study, None)
+        if actor is not None:
+            ray.kill(actor)
+
+
+class CoordinatorActor:
+    """The coordinator in a process of its own.
+
+    Args:
+        database: URL of the trial database.
+        artifact_root: where trials leave their files.
+        directory: the submitter's working directory.
+        pools: cores of each pool.
+    """
+
+    def __init__(self, database: str, artifact_root: str, directory: str, pools: dict[str, int]) -> None:
+        self._store = open_store(database)
+        mailbox = ray.get_runtime_context().current_actor
+        self._dispatcher = RayDispatcher(artifact_root, directory, dict(pools), mailbox)
+        self._coordinator = Coordinator(self._store, self._dispatcher, RayStrategist(self._dispatcher))
+
+    # A group of one thread: messages of one worker must not overtake each other.
+    @ray.method(concurrency_group="mail")
+    def receive(self, text: str) -> None:
+        """A message from a worker."""
+        self._dispatcher.put(text)
+
+    @ray.method(concurrency_group="control")
+    def leave(self, state: str, reason: str) -> None:
+        """Stop at the next checkpoints and release every study in this state."""
+        self._coordinator.leave(StudyState(state), reason)
+        self._dispatcher.wake()
+
+    @ray.method(concurrency_group="control")
+    def pid(self) -> int:
+        """The process id, once it is up."""
+        return os.getpid()
+
+    def drive(self, name: str, *, take_over: bool) -> None:
+        """Drive one study until it is released."""
+        try:
+            self._coordinator.take(name, take_over=take_over)
+            self._coordinator.run()
+        finally:
+            self._coordinator.close()
+
+    def serve(self) -> None:
+        """Drive every study that is submitted, until asked to leave."""
+        try:
+            self._coordinator.serve()
+        finally:
+            self._coordinator.close()
+
+
+def start_coordinator(database: str, artifact_root: str, directory: str, pools: Mapping[str, int]) -> Actor:
+    """A coordinator actor (see `CoordinatorActor`), not driving anything yet."""
+    remote: Any = ray.remote  # its overloads don't know of concurrency groups
+    # `mail` has one thread, so that messages of one worker can't overtake each other.
+    actor = remote(num_cpus=0, max_restarts=0, concurrency_groups={"mail": 1, "control": 2})(CoordinatorActor)
+    return actor.remote(database, artifact_root, directory, dict(pools))
+
+
+def start_ray(pools: Mapping[str, int], address: str | None = None) -> None:
+    """Start a local Ray with room for these pools, or join the cluster at `address`.
+
+    Ray's own dashboard and usage reports stay off; its processes end with this one.
+    """
+    if address is not None:
+        ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
+        return
+    resources = {pool_resource(pool): float(size) for pool, size in pools.items() if pool != "default"}
+    for tries_left in reversed(range(STARTS)):
+        try:
+            ray.init(
+                num_cpus=max(1, sum(pools.values())),
+                num_gpus=0,
+                resources=resources,
+                include_dashboard=False,
+                logging_level=logging.ERROR,
+                log_to_driver=False,
+                configure_logging=False,
+            )
+        except Exception as error:
+            ray.shutdown()
+            if not tries_left:
+                raise HalmaError(
+                    f"Ray did not start in {STARTS} tries: {error} If the machine is busy, try again later; "
+                    "`halma run --inline` works without Ray."
+                ) from error
+        else:
+            return
+
+
+def stop_ray() -> None:
+    """End Ray and its processes."""
+    ray.shutdown()

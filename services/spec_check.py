@@ -1,0 +1,122 @@
+"""The second half of reading a study: against its task and its strategy, which know more than the file's form does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from search import BadSetting as BadStrategySetting
+from search import SearchError, UnknownStrategy
+from search.registry import strategy_class
+from services.located_yaml import Path as Place
+from services.spec import ResolvedSpec, StudySpec
+from services.spec_file import BadStudy, Draft, Problem, draft, read_draft
+from services.translate import make_strategy_of, resolve
+from workers.contracts import BadJob, BadSetting, Task, TaskInfo
+from workers.registry import load_task
+from workers.user_code import UnknownTask
+
+Problems = list[Problem]
+
+
+def load_study(path: Path, overrides: Sequence[str] = ()) -> ResolvedSpec:
+    """Read and check a study file. Raises `BadStudy` with all problems at once."""
+    return check(read_draft(path, overrides))
+
+
+def parse_study(text: str, *, name: str, overrides: Sequence[str] = ()) -> ResolvedSpec:
+    """Read and check the text of a study file, which errors call `name`. Raises `BadStudy`."""
+    return check(draft(text, name=name, overrides=overrides))
+
+
+def check(read: Draft) -> ResolvedSpec:
+    """Check a draft against its task and strategy, also where its form is wrong elsewhere.
+
+    Raises:
+        BadStudy: with the problems of the form and these, in the order of the file.
+    """
+    problems: Problems = list(read.problems)
+    _find_strategy(read, problems)
+    task, info = _find_task(read, problems)
+    if read.spec is None or info is None or task is None:
+        raise BadStudy(sorted(problems, key=read.source.order))
+    spec = _resolved(read, read.spec, info, problems)
+    if spec is not None:
+        _ask_task(read, spec, task, problems)
+        if not problems:
+            _ask_strategy(read, spec, problems)
+    if problems or spec is None:
+        raise BadStudy(sorted(problems, key=read.source.order))
+    return spec
+
+
+def _find_strategy(read: Draft, problems: Problems) -> None:
+    search = read.data.get("search")
+    name = search.get("strategy") if isinstance(search, dict) else None
+    if isinstance(name, str) and name:
+        try:
+            strategy_class(name)
+        except SearchError as error:
+            problems.append(read.source.problem(("search", "strategy"), str(error)))
+
+
+def _find_task(read: Draft, problems: Problems) -> tuple[Task | None, TaskInfo | None]:
+    task = read.data.get("task")
+    short = isinstance(task, str)
+    choice = {"name": task} if short else task
+    if not isinstance(choice, dict) or not isinstance(choice.get("name"), str) or not choice["name"]:
+        return None, None
+    place: Place = ("task",) if short else ("task", "name")
+    settings = choice.get("settings") or {}
+    try:
+        found = load_task(choice["name"])
+        return found, found.info(settings if isinstance(settings, dict) else {})
+    except BadSetting as error:
+        problems.append(read.source.problem(_place(error), error.message))
+    except UnknownTask as error:
+        why = str(error).removeprefix(f"task {choice['name']!r}: ")
+        problems.append(read.source.problem(place, f"expected a task, found {choice['name']}: {why}"))
+    except BadJob as error:
+        problems.append(read.source.problem(place, str(error)))
+    return None, None
+
+
+def _resolved(read: Draft, spec: StudySpec, info: TaskInfo, problems: Problems) -> ResolvedSpec | None:
+    try:
+        return resolve(spec, info)
+    except ValueError as error:
+        problems.append(read.source.problem(("space",), str(error)))
+        return None
+
+
+def _ask_task(read: Draft, spec: ResolvedSpec, task: Task, problems: Problems) -> None:
+    try:
+        task.validate(spec.task.settings, spec.training, list(spec.space or {}))
+    except BadSetting as error:
+        problems.append(read.source.problem(_place(error), error.message))
+    except BadJob as error:
+        problems.append(read.source.problem(("task",), str(error)))
+
+
+def _ask_strategy(read: Draft, spec: ResolvedSpec, problems: Problems) -> None:
+    try:
+        make_strategy_of(spec)
+    except BadStrategySetting as error:
+        if error.field == "features":
+            message = (
+                f"expected a strategy that needs no behaviour, because the task {spec.task.name} has none, "
+                f"found {spec.search.strategy}"
+            )
+            problems.append(read.source.problem(("search", "strategy"), message))
+        else:
+            problems.append(read.source.problem(("search", "settings", error.field), error.message))
+    except UnknownStrategy as error:
+        problems.append(read.source.problem(("search", "strategy"), str(error)))
+    except SearchError as error:
+        problems.append(read.source.problem(("space",), str(error)))
+
+
+def _place(error: BadSetting) -> Place:
+    """Where in a study file a task's complaint belongs."""
+    section = tuple(error.section.split("."))
+    return (*section, *error.field.split(".")) if error.field else section

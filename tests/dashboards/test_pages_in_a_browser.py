@@ -1,0 +1,425 @@
+"""The pages in a real browser, over a real server and a real record."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from playwright.sync_api import expect
+
+from services.auth import COOKIE
+from services.states import TrialState
+from tests.dashboards.conftest import TOKEN, log_in, until
+from tests.record import Record
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture
+def record(service):
+    return Record(service.store, service.artifacts, "jump").begin()
+
+
+def ready(watched, path):
+    """Open a page and wait until its script has drawn it and listens."""
+    page = watched.open(path)
+    page.wait_for_selector("#link[data-state=live]")
+    return page
+
+
+class TestLogin:
+    def test_every_page_leads_to_the_login_page_and_from_there_back(self, anyone, record):
+        page = anyone.open("/studies/jump/trials?where=value+%3E+0.5")
+        assert page.url.startswith(f"{anyone.url}/login?next=")
+        page.fill("#token", TOKEN)
+        page.click("button[type=submit]")
+        page.wait_for_url(f"{anyone.url}/studies/jump/trials?where=value+%3E+0.5")
+        anyone.assert_calm()
+
+    def test_the_cookie_is_no_token_and_no_script_can_read_it(self, anyone):
+        log_in(anyone)
+        (cookie,) = anyone.page.context.cookies()
+        assert cookie["name"] == COOKIE
+        assert (cookie["httpOnly"], cookie["sameSite"]) == (True, "Strict")
+        assert TOKEN not in cookie["value"]
+        assert anyone.page.evaluate("document.cookie") == ""
+
+    def test_a_wrong_token_is_told_and_guessing_is_slowed_down(self, anyone):
+        page = anyone.open("/login")
+        for _ in range(5):
+            page.fill("#token", "a-wrong-token")
+            page.click("button[type=submit]")
+            expect(page.locator("#problem")).to_have_text("That is not the token of this service.")
+        page.fill("#token", TOKEN)
+        page.click("button[type=submit]")
+        expect(page.locator("#problem")).to_contain_text("Too many wrong tokens from 127.0.0.1. Try again in")
+
+    def test_logging_out_ends_it(self, browser):
+        browser.open("/")
+        browser.page.click("text=Log out")
+        browser.page.wait_for_url(f"{browser.url}/login")
+        assert browser.open("/").url.startswith(f"{browser.url}/login")
+
+    def test_a_login_leads_nowhere_else(self, anyone):
+        page = anyone.open("/login?next=https://evil.example/")
+        page.fill("#token", TOKEN)
+        page.click("button[type=submit]")
+        page.wait_for_url(f"{anyone.url}/")
+
+
+class TestStudies:
+    def test_the_list_grows_and_moves_without_reloading(self, browser, service, record):
+        page = ready(browser, "/")
+        page.evaluate("window.notReloaded = true")
+        row = page.locator("tr[data-study=jump]")
+        expect(row).to_contain_text("0 of 24 done")
+        record.one(value=0.8125)
+        expect(row).to_contain_text("1 of 24 done")
+        expect(row).to_contain_text("0.8125")
+        Record(service.store, service.artifacts, "second").begin()
+        expect(page.locator("tr[data-study=second]")).to_contain_text("running")
+        assert page.evaluate("window.notReloaded")
+        browser.assert_calm()
+
+    def test_without_studies_it_says_what_to_type(self, browser):
+        page = ready(browser, "/")
+        expect(page.locator("#nothing")).to_contain_text("halma submit studies/high_jump.yaml")
+
+    def test_a_search_is_kept_in_the_address(self, browser, service, record):
+        Record(service.store, service.artifacts, "straddle").begin()
+        page = ready(browser, "/")
+        page.fill("#find", "stra")
+        expect(page.locator("#studies tbody tr")).to_have_count(1)
+        ready(browser, page.url.removeprefix(browser.url))
+        expect(page.locator("#studies tbody tr")).to_have_count(1)
+        page.fill("#find", "nothing like it")
+        expect(page.locator("#nothing")).to_have_text("No study matches. Clear the search to see all of them.")
+
+    def test_it_is_sorted_by_a_click_on_a_head(self, browser, service, record):
+        record.one(value=0.5)
+        Record(service.store, service.artifacts, "better").begin().one(value=0.9)
+        page = ready(browser, "/")
+        page.click("th[data-sort=best]")
+        names = page.locator("#studies tbody tr a")
+        expect(names).to_have_text(["better", "jump"])
+        page.click("th[data-sort=best]")
+        expect(names).to_have_text(["jump", "better"])
+
+
+class TestStudy:
+    def test_counts_rows_and_charts_rise_without_reloading(self, browser, record):
+        record.one(value=0.5, features=(0.0,))
+        page = ready(browser, "/studies/jump")
+        page.evaluate("window.notReloaded = true")
+        rows = page.locator("#table tbody tr[data-number]")
+        expect(page.locator("#fact-trials")).to_have_text("1 of 24 done")
+        expect(rows).to_have_count(1)
+        record.one(value=0.75, features=(1.5,))
+        (trial,) = record.propose()
+        record.start(trial)
+        expect(page.locator("#fact-trials")).to_have_text("2 of 24 done, 1 running")
+        expect(page.locator("#fact-best")).to_have_text("0.75")
+        expect(rows).to_have_count(3)
+        expect(page.locator("#table tr[data-number='2']")).to_contain_text("running")
+        expect(page.locator("#fact-distinct")).to_have_text("2")
+        expect(page.locator("#gallery .strategy")).to_have_count(2)
+        expect(page.locator("#behaviour a[data-number]")).to_have_count(2)
+        expect(page.locator("#value-chart .points path")).to_have_count(2)
+        assert page.evaluate("window.notReloaded")
+        browser.assert_calm()
+
+    def test_states_are_shown_as_they_are(self, browser, record):
+        record.one(state=TrialState.DIVERGED, message="the return became NaN at iteration 3")
+        record.one(state=TrialState.INFEASIBLE)
+        page = ready(browser, "/studies/jump")
+        expect(page.locator("#table tr[data-number='0']")).to_contain_text("≈ diverged")
+        expect(page.locator("#table tr[data-number='1']")).to_contain_text("◇ infeasible")
+        expect(page.locator("#fact-best")).to_have_text("–")
+        browser.assert_calm()
+
+    def test_hovering_a_strategy_lights_it_everywhere(self, browser, record):
+        record.one(features=(0.0,))
+        record.one(features=(2.0,))
+        page = ready(browser, "/studies/jump")
+        page.hover(".strategy[data-number='1']")
+        expect(page.locator("#table tr[data-number='1']")).to_have_class("lit")
+        expect(page.locator("#behaviour .lit-mark")).to_have_count(1)
+
+    def test_a_study_without_behaviour_shows_none(self, browser, service):
+        Record(service.store, service.artifacts, "quality", behaviour=None).begin().one()
+        page = ready(browser, "/studies/quality")
+        expect(page.locator("#behaviour-panel")).to_have_count(0)
+        expect(page.locator("#value-chart .points path")).to_have_count(1)
+        browser.assert_calm()
+
+    def test_an_empty_study_says_what_will_appear(self, browser, record):
+        page = ready(browser, "/studies/jump")
+        expect(page.locator("#value-chart")).to_contain_text("The first finished trial appears here.")
+        expect(page.locator("#table")).to_contain_text("No trials yet")
+        browser.assert_calm()
+
+    def test_the_chart_follows_samples_and_time(self, browser, record):
+        record.one()
+        record.one()
+        page = ready(browser, "/studies/jump")
+        for button, title in (("by samples", "samples spent (control steps)"), ("by time", "(min)")):
+            page.click(f"text={button}")
+            expect(page.locator("#value-chart .xtitle")).to_contain_text(title)
+
+    def test_an_unknown_study_is_told_in_words(self, browser, record):
+        page = browser.open("/studies/jmp")
+        expect(page.locator("main")).to_contain_text("found 'jump'")
+        browser.assert_calm(but=["404"])
+
+    def test_a_deleted_study_is_told_in_an_open_tab(self, browser, service, record):
+        record.one()
+        page = ready(browser, "/studies/jump")
+        record.end()
+        with service.store.transaction() as change:
+            change.delete_study("jump")
+        expect(page.locator("#banner")).to_contain_text("The study jump was deleted.")
+        expect(page.locator("#table tbody tr[data-number]")).to_have_count(1)
+
+
+class TestTrials:
+    def test_a_condition_filters_and_is_kept_in_the_address(self, browser, record):
+        for value in (0.2, 0.6, 0.9):
+            record.one(value=value)
+        record.one(state=TrialState.FAILED)
+        page = ready(browser, "/studies/jump/trials")
+        rows = page.locator("#table tbody tr[data-number]")
+        expect(rows).to_have_count(4)
+        page.fill("#filters input[type=search]", "value > 0.5")
+        expect(rows).to_have_count(2)
+        expect(page.locator("#filters [role=status]")).to_have_text("2 of 4 trials")
+        ready(browser, page.url.removeprefix(browser.url))
+        expect(rows).to_have_count(2)
+        page.fill("#filters input[type=search]", "height > 0.5")
+        expect(page.locator("#filters [role=status]")).to_contain_text(
+            "Unknown column height. Known: number, state, value"
+        )
+
+    def test_states_and_columns_can_be_hidden(self, browser, record):
+        record.one()
+        record.one(state=TrialState.FAILED)
+        page = ready(browser, "/studies/jump/trials")
+        page.click("#filters button[data-state=failed]")
+        expect(page.locator("#table tbody tr[data-number]")).to_have_count(1)
+        page.click("summary")
+        page.uncheck("text=alpha (rad)")
+        expect(page.locator("#table thead")).not_to_contain_text("alpha")
+
+    def test_the_download_holds_the_trials(self, browser, record):
+        record.one(value=0.5)
+        page = ready(browser, "/studies/jump/trials")
+        with page.expect_download() as download:
+            page.click("text=Download CSV")
+        assert download.value.suggested_filename == "jump.csv"
+        assert download.value.path().read_text().splitlines()[1].startswith("0,search,complete,0.5,0.5,")
+
+
+class TestTrial:
+    def test_it_shows_parameters_outcome_curve_attempts_and_files(self, browser, record):
+        record.one(value=0.75, iterations=8)
+        page = ready(browser, "/studies/jump/trials/0")
+        main = page.locator("main")
+        for text in ("omega_x", "rad/s", "0.75", "audit.push", "default-0", "policy.safetensors", str(2**63)):
+            expect(main).to_contain_text(text)
+        for metric in ("return", "bar", "success", "kl"):
+            expect(page.locator(f"#curves [data-metric={metric}] .scatterlayer .js-line")).to_have_count(1)
+        assert page.evaluate("document.querySelector('img.pose').naturalWidth") == 320
+        browser.assert_calm()
+
+    def test_its_curve_grows_and_its_outcome_appears_without_reloading(self, browser, record):
+        (trial,) = record.propose()
+        page = ready(browser, "/studies/jump/trials/0")
+        page.evaluate("window.notReloaded = true")
+        expect(page.locator("#curves")).to_contain_text("The curves begin with the first finished iteration.")
+        expect(page.locator("[data-live=attempts]")).to_contain_text("Waiting for a free worker.")
+        attempt = record.start(trial)
+        expect(page.locator("[data-live=attempts]")).to_contain_text("running")
+        for iteration in (1, 2, 3):
+            record.report(attempt, iteration, **{"return": 0.1 * iteration})
+        until(lambda: page.evaluate("document.querySelector('#curves [data-metric=return]')?.data?.[0].x.length") == 3)
+        record.finish(attempt, trial, value=0.5, features=(0.25,), bar=0.61)
+        expect(page.locator("[data-live=head]")).to_contain_text("complete")
+        expect(page.locator("[data-live=details]")).to_contain_text("0.61")
+        assert page.evaluate("window.notReloaded")
+        browser.assert_calm()
+
+    def test_other_metrics_can_be_chosen_and_are_remembered(self, browser, record):
+        record.one()
+        page = ready(browser, "/studies/jump/trials/0")
+        page.click("#metric-choice [data-metric=samples_per_second]")
+        expect(page.locator("#curves [data-metric=samples_per_second] .js-line")).to_have_count(1)
+        ready(browser, "/studies/jump/trials/0")
+        expect(page.locator("#curves [data-metric=samples_per_second] .js-line")).to_have_count(1)
+
+    def test_one_without_motion_says_why(self, browser, record):
+        record.one(state=TrialState.DIVERGED, message="the return became NaN at iteration 3")
+        page = ready(browser, "/studies/jump/trials/0")
+        expect(page.locator("[data-live=motion]")).to_contain_text("left no motion: the return became NaN")
+        browser.assert_calm()
+
+
+class TestEvents:
+    def test_they_are_told_in_words_newest_first_and_go_on(self, browser, record):
+        record.one(iterations=2)
+        page = ready(browser, "/studies/jump/events")
+        items = page.locator("#events li")
+        expect(items.first).to_contain_text("complete, value")
+        expect(items.last).to_contain_text("study created, for 24 trials")
+        count = items.count()
+        record.propose()
+        expect(items.first).to_contain_text("bds proposed trial 1")
+        page.check("text=every iteration")
+        expect(items).to_have_count(count + 3)
+        browser.assert_calm()
+
+
+class TestActions:
+    def test_pausing_asks_first(self, browser, service, record):
+        page = ready(browser, "/studies/jump")
+        page.click("#actions [data-action=pause]")
+        page.click("text=Keep as it is")
+        assert service.store.study("jump").wanted == "run"
+        page.click("#actions [data-action=pause]")
+        page.click("#confirm-yes")
+        expect(page.locator("#study-reason")).to_contain_text("pausing")
+        assert service.store.study("jump").wanted == "pause"
+        browser.assert_calm()
+
+    def test_extending_raises_the_target_on_the_page(self, browser, service, record):
+        page = ready(browser, "/")
+        page.click("tr[data-study=jump] [data-action=extend]")
+        page.fill("#confirm-number input", "6")
+        page.click("#confirm-yes")
+        expect(page.locator("tr[data-study=jump]")).to_contain_text("0 of 30 done")
+        browser.assert_calm()
+
+    def test_what_is_refused_is_told_in_the_dialog(self, browser, service, record):
+        page = ready(browser, "/studies/jump")
+        page.click("#actions [data-action=cancel]")
+        record.end()
+        with service.store.transaction() as change:
+            change.delete_study("jump")
+        page.click("#confirm-yes")
+        expect(page.locator("#confirm-problem")).to_contain_text("expected the name of a study")
+        browser.assert_calm(but=["404"])
+
+
+class TestSubmission:
+    def test_mistakes_are_shown_at_their_lines_and_a_good_file_runs(self, browser, service):
+        page = browser.open("/submit")
+        page.fill("#text", "name: pasted\ntask: point_jump\nsearch:\n  strategy: randon\n  trials: 0\n")
+        page.click("#send")
+        problems = page.locator("#problems li")
+        expect(problems).to_have_count(2, timeout=30000)
+        expect(problems.first).to_contain_text("line 4search.strategy:")
+        expect(problems.last).to_contain_text("expected a number above 0, found 0")
+        expect(page.locator("#lines [data-wrong]")).to_have_text(["4", "5"])
+        assert service.store.studies() == []
+        page.fill("#text", "name: pasted\ntask: point_jump\nsearch:\n  strategy: random\n  trials: 3\n")
+        page.click("#send")
+        page.wait_for_url(f"{browser.url}/studies/pasted")
+        assert service.store.study("pasted").target_trials == 3
+        browser.assert_calm(but=["422"])
+
+    def test_a_file_can_be_opened(self, browser, tmp_path):
+        file = tmp_path / "mine.yaml"
+        file.write_text("name: from-a-file\n")
+        page = browser.open("/submit")
+        page.set_input_files("#upload", file)
+        expect(page.locator("#text")).to_have_value("name: from-a-file\n")
+        page.click("#send")
+        expect(page.locator("#problems")).to_contain_text("search", timeout=30000)
+
+    def test_a_study_can_be_cloned_as_a_new_file(self, browser, record):
+        page = browser.open("/submit?study=jump")
+        expect(page.locator("#text")).to_have_value(re.compile(r"^name: jump-2\ntask:\n  name: high_jump\n"))
+
+
+class TestAbsence:
+    def test_a_restarted_service_is_told_and_caught_up_with(self, browser, service, record):
+        record.one()
+        page = ready(browser, "/studies/jump")
+        service.stop()
+        expect(page.locator("#link")).to_have_attribute("data-state", "waiting")
+        expect(page.locator("#banner")).to_contain_text("The service does not answer since", timeout=20000)
+        service.start()
+        record.store = service.store
+        record.one()
+        expect(page.locator("#link")).to_have_attribute("data-state", "live", timeout=30000)
+        expect(page.locator("#banner")).to_be_hidden()
+        expect(page.locator("#fact-trials")).to_have_text("2 of 24 done")
+        expect(page.locator("#table tbody tr[data-number]")).to_have_count(2)
+
+    def test_a_swapped_database_leaves_no_stale_rows(self, browser, service, record):
+        for _ in range(3):
+            record.one(iterations=1)
+        page = ready(browser, "/studies/jump")
+        expect(page.locator("#table tbody tr[data-number]")).to_have_count(3)
+        service.stop()
+        service.start("another.db")
+        Record(service.store, service.artifacts, "jump", target=9).begin().one(iterations=1)
+        expect(page.locator("#fact-trials")).to_have_text("1 of 9 done", timeout=30000)
+        expect(page.locator("#table tbody tr[data-number]")).to_have_count(1)
+
+    def test_a_session_that_has_ended_leads_to_the_login_page(self, browser, service, record):
+        page = ready(browser, "/studies/jump")
+        page.context.clear_cookies()
+        service.stop()
+        service.start()
+        page.wait_for_url(f"{browser.url}/login?next=%2Fstudies%2Fjump", timeout=30000)
+
+
+class TestCraft:
+    @pytest.mark.parametrize(
+        "path", ["/", "/studies/jump", "/studies/jump/trials", "/studies/jump/trials/0", "/submit"]
+    )
+    def test_nothing_is_wider_than_a_phone(self, browser, record, path):
+        record.one(iterations=3)
+        browser.page.set_viewport_size({"width": 390, "height": 800})
+        page = browser.open(path)
+        page.wait_for_load_state("networkidle")
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+    def test_the_theme_can_be_chosen_and_stays(self, browser, record):
+        page = ready(browser, "/studies/jump")
+        page.click("#theme")
+        ready(browser, "/studies/jump")
+        assert page.evaluate("document.documentElement.dataset.theme") == "dark"
+        assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(20, 23, 26)"
+
+    @pytest.mark.parametrize("scheme", ["light", "dark"])
+    def test_text_and_states_have_enough_contrast(self, chromium, service, record, scheme):
+        """WCAG AA: 4.5 to 1 for every colour that text is set in, on both of the surfaces it stands on."""
+        context = chromium.new_context(color_scheme=scheme)
+        page = context.new_page()
+        page.goto(f"{service.url}/login")
+        names = ["ink", "soft", "accent", "complete", "running", "queued", "failed", "diverged", "infeasible"]
+        style = page.evaluate_handle("getComputedStyle(document.documentElement)")
+        colours = {
+            name: style.evaluate("(style, name) => style.getPropertyValue(name).trim()", f"--{name}")
+            for name in [*names, "paper", "sheet", "hover"]
+        }
+        context.close()
+        poor = [
+            (name, surface, round(contrast(colours[name], colours[surface]), 2))
+            for name in names
+            for surface in ("paper", "sheet", "hover")
+            if contrast(colours[name], colours[surface]) < 4.5
+        ]
+        assert poor == []
+
+
+def contrast(one, other):
+    """Contrast ratio of two colours (WCAG 2.1, relative luminance)."""
+
+    def luminance(colour):
+        parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+        linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+    light, dark = sorted((luminance(one), luminance(other)), reverse=True)
+    return (light + 0.05) / (dark + 0.05)

@@ -1,0 +1,105 @@
+"""Nothing that was computed is lost, and nothing is computed twice, whoever dies."""
+
+import signal
+
+import pytest
+from processes import alive, family, kill_all, wait_for
+
+from services.store.open import open_store
+
+STUDY = """
+name: killed
+task: point_jump
+search: {{strategy: bds, settings: {{variant: published}}, trials: 4}}
+training: {{budget: {{samples: {samples}}}}}
+resources: {{parallel: {parallel}}}
+seed: 11
+"""
+
+pytestmark = [pytest.mark.ray, pytest.mark.slow]
+
+
+def what_counts(trial):
+    """All of a trial that does not depend on the time of day."""
+    return {
+        **{key: trial[key] for key in ("number", "state", "params", "z", "value", "features", "seed")},
+        "samples": trial["cost"]["samples"],
+        "policy": trial["artifacts"]["policy.safetensors"]["sha256"],
+    }
+
+
+def curve(store, row, number):
+    return [metric.iteration for metric in store.metrics(store.trial(row.id, number).id)]
+
+
+def killed_in_the_middle(home, file, *, after):
+    """Start the study, wait until trial `after` has made some iterations, and kill everybody."""
+    process = home.start("run", file)
+    store = wait_for(lambda: open_store(home.folder / "halma.db") if (home.folder / "halma.db").exists() else None)
+
+    def under_way():
+        if process.poll() is not None:
+            raise AssertionError(process.stdout.read())
+        rows = {row.name: row for row in store.studies()}
+        if "killed" not in rows:
+            return None
+        trials = store.trials(rows["killed"].id)
+        return rows["killed"] if len(trials) > after and trials[after].iteration >= 3 else None
+
+    row = wait_for(under_way)
+    kill_all(family(process.pid))
+    process.communicate()
+    return store, row
+
+
+def test_a_killed_study_goes_on_where_it_was(home):
+    file = home.write("study.yaml", STUDY.format(samples=40_000, parallel=2))
+    store, row = killed_in_the_middle(home, file, after=1)
+    before = {trial["number"]: trial for trial in home.trials("killed")}
+    curves = {number: curve(store, row, number) for number in before}
+    home.run("resume", "killed")
+    after = {trial["number"]: trial for trial in home.trials("killed")}
+    assert sorted(after) == [0, 1, 2, 3]
+    assert {trial["state"] for trial in after.values()} <= {"complete", "infeasible"}
+    for number, trial in before.items():
+        if trial["state"] in {"complete", "infeasible"}:
+            assert after[number] == trial
+        else:
+            assert after[number]["params"] == trial["params"]
+            # It went on from its checkpoint: no iteration is missing, none was counted anew from the start.
+            assert curve(store, row, number) == list(range(1, len(curve(store, row, number)) + 1))
+            last_attempt = store.attempts(store.trial(row.id, number).id)[-1]
+            assert last_attempt.first_iteration >= len(curves[number]), (last_attempt, curves[number])
+    store.close()
+
+
+def test_a_killed_and_resumed_study_equals_an_undisturbed_one_bit_for_bit(home, tmp_path_factory):
+    undisturbed = type(home)(tmp_path_factory.mktemp("undisturbed"))
+    text = STUDY.format(samples=15_000, parallel=1)
+    undisturbed.run("run", undisturbed.write("study.yaml", text), "--inline")
+    store, _ = killed_in_the_middle(home, home.write("study.yaml", text), after=2)
+    store.close()
+    home.run("resume", "killed")
+    expected = [what_counts(trial) for trial in undisturbed.trials("killed")]
+    assert [what_counts(trial) for trial in home.trials("killed")] == expected
+    assert len(expected) == 4
+
+
+def test_ctrl_c_stops_at_a_checkpoint_and_leaves_no_process_behind(home):
+    file = home.write("study.yaml", STUDY.format(samples=2_000_000, parallel=2))
+    process = home.start("run", file)
+    store = wait_for(lambda: open_store(home.folder / "halma.db") if (home.folder / "halma.db").exists() else None)
+    row = wait_for(lambda: next(iter(store.studies()), None))
+    wait_for(lambda: [t for t in store.trials(row.id) if t.iteration >= 2])
+    everybody = family(process.pid)
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 130, output
+    assert "halma resume killed" in output
+    row = store.study("killed")
+    assert (row.state.value, row.reason, row.driver) == ("paused", "interrupted", None)
+    for trial in store.trials(row.id):
+        assert trial.state.value == "queued"
+        assert store.attempts(trial.id)[-1].state.value == "preempted"
+    wait_for(lambda: not alive(everybody), seconds=60)
+    store.close()

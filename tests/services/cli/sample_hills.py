@@ -1,0 +1,76 @@
+"""Tasks for the command line's tests: plain functions, told by name in study files as `sample_hills:...`."""
+
+from __future__ import annotations
+
+import io
+import time
+
+from PIL import Image
+
+from workers.contracts import Cost, FeatureSpec, Outcome, TaskInfo
+
+
+def hill(params):
+    """Height on a hill, and where one stands."""
+    return 1 - (params["x"] - 0.3) ** 2, [params["x"]]
+
+
+def bare_hill(params):
+    """Height on a hill, without behaviour."""
+    return 1 - (params["x"] - 0.3) ** 2
+
+
+def cliff(params):
+    """Always raises."""
+    message = "no way up"
+    raise RuntimeError(message)
+
+
+def fog(params):
+    """Always NaN."""
+    return float("nan"), [params["x"]]
+
+
+FRAMES = 3
+
+
+class Recorded:
+    """A replay of the Painter."""
+
+    seconds = 1.5
+
+    def __init__(self, policy):
+        self.policy = policy
+
+    def to_bytes(self):
+        return self.policy * FRAMES
+
+
+class Painter:
+    """A task that leaves what a learning task leaves: a policy, its replay, and a picture."""
+
+    def info(self, settings):
+        features = FeatureSpec("euclidean", ("place",), distinct=0.2, low=(0.0,), high=(1.0,))
+        return TaskInfo("sample_hills:Painter", "paints", features=features, settings=dict(settings))
+
+    def validate(self, settings, training, names):
+        pass
+
+    def run(self, job, context):
+        policy = f"{job.params['x']:.3f}".encode()
+        context.save_artifact("policy.safetensors", policy)
+        context.save_artifact("replay.bin", Recorded(policy).to_bytes())
+        picture = io.BytesIO()
+        Image.new("RGB", (64, 48), (200, 30 * job.trial, 0)).save(picture, "PNG")
+        context.save_artifact("pose.png", picture.getvalue())
+        height = 1 - (job.params["x"] - 0.3) ** 2
+        return Outcome("complete", height, (job.params["x"],), Cost(100, 0.1), details={"height": height, "calm": True})
+
+    def simulate(self, job, policy):
+        return Recorded(policy)
+
+
+def trek(params):
+    """Takes 0.2 s."""
+    time.sleep(0.2)
+    return hill(params)

@@ -1,0 +1,71 @@
+"""What there is: tasks, strategies, the schema, and the doctor."""
+
+from __future__ import annotations
+
+import pytest
+
+from services.spec import json_schema
+
+
+def test_tasks_are_listed_and_shown(shell):
+    listed = shell("tasks", "--json").json
+    assert {"high_jump", "point_jump"} <= {task["name"] for task in listed}
+    assert "point_jump" in shell("tasks").out
+    shown = shell("tasks", "point_jump").out
+    names = next(task for task in listed if task["name"] == "point_jump")["parameters"]
+    assert all(name in shown for name in names)
+    assert "Training (defaults):" in shown
+    assert shell("tasks", "point_jump", "--json").json["name"] == "point_jump"
+
+
+def test_a_users_own_task_is_shown_by_its_name(shell):
+    assert shell("tasks", "sample_hills:bare_hill").out.startswith(
+        "sample_hills:bare_hill: Height on a hill, without behaviour."
+    )
+    typed = shell("tasks", "sample_hills:nothing")
+    assert (typed.code, typed.out) == (2, "")
+    assert typed.err.startswith("tasks: task 'sample_hills:nothing': 'sample_hills' has no 'nothing'")
+
+
+def test_strategies_are_listed_and_shown(shell):
+    listed = {info["name"]: info for info in shell("strategies", "--json").json}
+    assert {"random", "sobol", "bds"} <= set(listed)
+    table = shell("strategies").out
+    assert all(name in table for name in listed)
+    shown = shell("strategies", "bds").out
+    assert all(setting["name"] in shown for setting in listed["bds"]["settings"])
+    assert shell("strategies", "random").out.endswith("It has no settings.\n")
+    typed = shell("strategies", "radnom")
+    assert (typed.code, typed.err) == (2, "strategies: expected a strategy, found radnom; did you mean random?\n")
+
+
+def test_the_schema_is_json(shell):
+    assert shell("schema").json == json_schema()
+
+
+def test_the_doctor_looks_at_everything_and_names_a_remedy(shell):
+    checks = {check["name"]: check for check in shell("doctor", "--json").json}
+    assert list(checks) == [
+        "python", "packages", "cores", "memory", "disk", "database", "artifacts", "ray", "browser",
+    ]  # fmt: skip
+    assert checks["database"]["found"].endswith("0 studies")
+    assert checks["artifacts"]["good"]
+    assert [path for path in (shell.home / "halma.artifacts").rglob("*") if path.is_file()] == [], "it cleans up"
+
+
+def test_the_doctor_finds_a_broken_database_and_exits_with_1(shell):
+    shell.write("notes.txt", "no database, but long enough to look like a file of something else" * 20)
+    typed = shell("doctor", "--db", "notes.txt")
+    assert typed.code == 1
+    lines = typed.out.splitlines()
+    bad = next(i for i, line in enumerate(lines) if line.startswith("bad") and "database" in line)
+    assert "expected a SQLite file we can write" in lines[bad]
+    assert lines[bad + 1].strip() == "do: give another one with --db or HALMA_DB"
+    assert "database" in typed.err
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("run", "--help"), ("db", "--help"), ("--version",)])
+def test_help_and_version_exit_with_0(shell, arguments):
+    typed = shell(*arguments)
+    assert typed.code == 0
+    assert typed.out

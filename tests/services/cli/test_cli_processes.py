@@ -1,0 +1,161 @@
+"""The command in processes of its own: interrupted, killed, and in front of a running service."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from services.states import StudyState
+from services.store.open import open_store
+
+ROOT = Path(__file__).parents[3]
+HALMA = "from services.cli import main; main()"
+SERVICE = """
+import contextlib
+from services.serving import serve
+from services.settings import find_settings
+serve(find_settings(), start_coordinator=contextlib.nullcontext, say=print, port=0)
+"""
+PATIENCE = 120.0
+"""Seconds. A busy machine takes its time to start Python."""
+
+
+def start(code, *arguments):
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{Path(__file__).parent}", "PYTHONUNBUFFERED": "1"}
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+    )
+
+
+def wait_for(condition):
+    until = time.monotonic() + PATIENCE
+    while time.monotonic() < until:
+        if found := condition():
+            return found
+        time.sleep(0.05)
+    pytest.fail("waited in vain")
+
+
+@pytest.fixture
+def slow_run(shell, hill):
+    """`halma run` on thirty trials that take 0.2 s each, with at least two of them finished."""
+    shell.write("slow.yaml", hill.replace(":hill", ":trek").replace("trials: 4", "trials: 12"))
+    process = start(HALMA, "run", "slow.yaml", "--inline")
+    store = None
+    try:
+        wait_for(lambda: (shell.home / "halma.db").exists() and "hill" in shell.study_names())
+        store = open_store(shell.home / "halma.db")
+        wait_for(lambda: store.study("hill").counts.get("complete", 0) >= 2)
+        yield process
+    finally:
+        if store is not None:
+            store.close()
+        process.kill()
+        process.communicate()
+
+
+def finished_trials(shell):
+    return [trial for trial in shell("trials", "hill", "--json").json if trial["state"] == "complete"]
+
+
+def test_ctrl_c_exits_with_130_and_says_how_to_go_on(shell, slow_run):
+    slow_run.send_signal(signal.SIGINT)
+    _, err = slow_run.communicate(timeout=PATIENCE)
+    assert slow_run.returncode == 130
+    assert err == "Interrupted; nothing that was finished is lost. Go on: halma resume hill\n"
+    before = finished_trials(shell)
+    assert shell("show", "hill", "--json").json["state"] == "paused"
+    assert shell("run", "slow.yaml", "--inline").code == 0
+    after = finished_trials(shell)
+    assert after[: len(before)] == before
+    assert len(after) == 12
+
+
+def test_a_killed_run_is_resumed_and_nothing_finished_is_run_twice(shell, slow_run):
+    slow_run.kill()
+    slow_run.communicate()
+    before = finished_trials(shell)
+    assert shell("show", "hill", "--json").json["state"] == "running", "nobody could say that it ended"
+    typed = shell("resume", "hill", "--inline")
+    assert typed.code == 0, typed.err
+    after = finished_trials(shell)
+    assert after[: len(before)] == before
+    assert [trial["number"] for trial in after] == list(range(12))
+    assert [trial["attempts"] for trial in before] == [1] * len(before)
+
+
+@pytest.fixture
+def service(shell):
+    """A service without a coordinator: it takes studies, nobody runs them."""
+    process = start(SERVICE)
+    try:
+        wait_for(lambda: (shell.home / "server.json").exists() or process.poll() is not None)
+        assert process.poll() is None, process.communicate()[1]
+        yield json.loads((shell.home / "server.json").read_text(encoding="utf-8"))["url"]
+    finally:
+        process.terminate()
+        process.communicate(timeout=PATIENCE)
+
+
+def test_a_study_is_submitted_to_the_service_of_this_home(shell, hill, service):
+    typed = shell("submit", "hill.yaml", "--name", "sent")
+    assert (typed.code, typed.out) == (0, f"Submitted sent to {service}. Follow it: halma watch sent\n")
+    assert shell.study_names() == ["sent"]
+    assert shell("show", "sent", "--json").json["spec"]["seed"] == 7
+
+    again = shell("submit", "hill.yaml", "--name", "sent")
+    assert again.code == 2
+    assert again.err.startswith(
+        '--set name="sent": name: expected the name of a new study, found sent, which exists; '
+        "look at it with `halma show sent`, go on with `halma resume sent`"
+    )
+
+    shell.write("a.yaml", hill.replace("random", "radnom"))
+    refused = shell("submit", "a.yaml")
+    assert refused.code == 2
+    assert refused.err.startswith("a.yaml:8: search.strategy: expected a strategy among random, ")
+    assert shell.study_names() == ["sent"]
+
+    resumed = shell("resume", "sent")
+    assert resumed.out == f"The service at {service} goes on with sent. Follow it: halma watch sent\n"
+    assert StudyState(shell("show", "sent", "--json").json["state"]) is StudyState.QUEUED
+
+
+def test_a_port_in_use_is_bad_input(shell):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        typed = shell("serve", "--port", str(port))
+    assert (typed.code, typed.out) == (2, "")
+    assert typed.err == (
+        f"--port {port}: expected a free port on 127.0.0.1, found it used by another program; "
+        f"find it with `ss -ltnp '( sport = :{port} )'`, or take another (--port)\n"
+    )
+    assert shell.study_names() == []
+
+
+@pytest.mark.parametrize("pool", ["gpu", "gpu=0", "gpu=x", "=2"])
+def test_a_pool_that_is_none_is_bad_input(shell, pool):
+    typed = shell("serve", "--pool", pool)
+    assert (typed.code, typed.err) == (2, f"--pool: expected NAME=CORES such as default=4, found {pool}\n")
+
+
+def test_a_reader_that_goes_away_leaves_no_traceback(shell, hill):
+    assert shell("run", "hill.yaml", "--inline").code == 0
+    process = start(HALMA, "trials", "hill", "--json")
+    process.stdout.close()
+    _, err = process.communicate(timeout=PATIENCE)
+    assert "Traceback" not in err

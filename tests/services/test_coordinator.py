@@ -1,0 +1,476 @@
+"""The coordinator over a real SQLite store, with a scripted dispatcher in place of workers."""
+
+import json
+from dataclasses import dataclass, field
+
+import pytest
+
+from services.admission import admit
+from services.coordinator import START_LEASE_SECONDS, WORKER_LEASE_SECONDS, Coordinator
+from services.dispatch.port import Assignment, Beat, Began, Crashed, Ended, Reported, Stopped, Vanished
+from services.errors import DatabaseUnavailable, StudyDriven
+from services.proposing import InlineStrategist, proposal_key
+from services.spec_check import parse_study
+from services.states import AttemptState, StudyState, TrialState
+from services.store.open import open_store
+from services.store.port import Driver
+from workers.contracts import Cost, Job, Outcome
+
+STUDY = """
+name: s
+task: {name: point_jump}
+search: {strategy: random, trials: 3}
+training: {budget: {samples: 100}}
+resources: {parallel: 2}
+retries: {limit: 1, backoff_seconds: 2.0}
+stop_after_failures: 2
+seed: 5
+"""
+
+
+@dataclass
+class Scripted:
+    """A dispatcher whose workers do what the test says."""
+
+    size: int = 8
+    given: list[Assignment] = field(default_factory=list)
+    inbox: list = field(default_factory=list)
+    stopped: list[int] = field(default_factory=list)
+    killed: list[int] = field(default_factory=list)
+    over: set[int] = field(default_factory=set)
+
+    def pools(self):
+        return {"default": self.size}
+
+    def free(self, pool):
+        busy = {assignment.attempt for assignment in self.given if assignment.pool == pool} - self.over
+        return self.size - len(busy)
+
+    def start(self, assignment):
+        self.given.append(assignment)
+        return "scripted"
+
+    def stop(self, attempt):
+        self.stopped.append(attempt)
+
+    def kill(self, attempt):
+        self.killed.append(attempt)
+        self.over.add(attempt)
+
+    def poll(self, deliver, timeout):
+        messages, self.inbox = self.inbox, []
+        if messages:
+            deliver(messages)
+            self.over |= {m.attempt for m in messages if isinstance(m, Ended | Stopped | Crashed | Vanished)}
+
+    def close(self):
+        pass
+
+    def end(self, assignment, value=1.0, status="complete", **more):
+        outcome = Outcome(status, value=value if status == "complete" else None, cost=Cost(10, 1.0), **more)
+        self.inbox.append(Ended(assignment.attempt, assignment.token, outcome=outcome.to_json()))
+
+
+class Clock:
+    def __init__(self):
+        self.now = 1000.0
+
+    def __call__(self):
+        return self.now
+
+    def sleep(self, seconds):
+        self.now += seconds
+
+
+class World:
+    """One driver over one store."""
+
+    def __init__(self, path, text=STUDY, overrides=()):
+        self.store = open_store(path)
+        self.clock = Clock()
+        self.dispatcher = Scripted()
+        self.row = admit(self.store, parse_study(text, name="s.yaml", overrides=list(overrides)))
+        self.coordinator = self.driver()
+
+    def driver(self, dispatcher=None):
+        return Coordinator(
+            self.store,
+            dispatcher or self.dispatcher,
+            InlineStrategist(),
+            clock=self.clock,
+            sleep=self.clock.sleep,
+        )
+
+    def steps(self, count=4, seconds=1.0):
+        for _ in range(count):
+            self.coordinator.step()
+            self.clock.now += seconds
+
+    def trials(self):
+        return self.store.trials(self.row.id)
+
+    def states(self):
+        return [trial.state.value for trial in self.trials()]
+
+    def attempts(self, number):
+        return [attempt.state for attempt in self.store.attempts(self.store.trial(self.row.id, number).id)]
+
+    def events(self, kind):
+        return [event for event in self.store.events(study_id=self.row.id) if event.kind == kind]
+
+
+@pytest.fixture(params=[()])
+def world(request, tmp_path):
+    made = World(tmp_path / "halma.db", overrides=request.param)
+    made.coordinator.take("s")
+    yield made
+    made.store.close()
+
+
+pair = pytest.mark.parametrize("world", [["search.trials=2"]], indirect=True, ids=["two trials"])
+"""As many trials as slots, so that a retry finds its slot free."""
+
+
+def test_as_many_trials_start_as_may_run_at_once(world):
+    world.steps()
+    assert [assignment.trial for assignment in world.dispatcher.given] == [0, 1]
+    assert world.states() == ["running", "running"]
+
+
+def test_a_trial_is_on_record_before_a_worker_hears_of_it(world):
+    seen = []
+    start = world.dispatcher.start
+
+    def watched(assignment):
+        seen.append((world.store.trial(world.row.id, assignment.trial).state, world.attempts(assignment.trial)))
+        return start(assignment)
+
+    world.dispatcher.start = watched
+    world.steps()
+    assert seen == [(TrialState.RUNNING, [AttemptState.RUNNING])] * 2
+
+
+def test_the_worker_gets_the_job_that_the_record_describes(world):
+    world.steps()
+    trial = world.trials()[1]
+    job = Job.from_json(world.dispatcher.given[1].job)
+    assert (job.trial, job.params, job.seed) == (1, trial.params, trial.seed)
+    assert (job.task, job.training, job.study) == ("point_jump", {"budget": {"samples": 100}}, "s")
+
+
+def test_a_study_ends_when_its_trials_have(world):
+    for _ in range(3):
+        world.steps()
+        for assignment in world.dispatcher.given:
+            if assignment.attempt not in world.dispatcher.over:
+                world.dispatcher.end(assignment)
+    world.steps()
+    row = world.store.study("s")
+    assert (row.state, row.driver, dict(row.counts)) == (StudyState.COMPLETE, None, {"complete": 3})
+    assert [trial.position for trial in world.trials()] == [0, 1, 2]
+    assert (row.samples, row.seconds) == (30, 3.0)
+    assert world.coordinator.driven() == []
+
+
+def test_a_proposal_logs_what_it_saw(world):
+    world.steps()
+    world.dispatcher.end(world.dispatcher.given[0])
+    world.steps()
+    first, second = world.store.proposals(world.row.id)
+    assert (first.history, first.pending, first.rng_key) == (0, (), proposal_key(5, 0))
+    assert (second.history, second.pending, second.rng_key) == (1, (1,), proposal_key(5, 2))
+
+
+def test_reports_become_the_learning_curve(world):
+    world.steps()
+    given = world.dispatcher.given[0]
+    world.dispatcher.inbox += [
+        Began(given.attempt, given.token, host="h", pid=77),
+        Reported(given.attempt, given.token, iteration=1, metrics={"return_mean": 0.5}, samples=40, seconds=0.5),
+    ]
+    world.steps(1)
+    trial = world.trials()[0]
+    assert [(row.iteration, dict(row.values)) for row in world.store.metrics(trial.id)] == [(1, {"return_mean": 0.5})]
+    assert (trial.iteration, trial.samples) == (1, 40)
+    assert world.store.attempts(trial.id)[0].pid == 77
+
+
+@pair
+def test_a_vanished_worker_costs_one_attempt_after_a_pause(world):
+    world.steps(2, seconds=0.1)
+    given = world.dispatcher.given[0]
+    world.dispatcher.inbox.append(Vanished(given.attempt, given.token, reason="gone"))
+    world.steps(3, seconds=0.1)
+    assert world.attempts(0) == [AttemptState.LOST]
+    assert world.states()[0] == "queued"  # it backs off
+    world.steps(4, seconds=1.0)
+    assert world.attempts(0) == [AttemptState.LOST, AttemptState.RUNNING]
+    assert world.trials()[0].seed == Job.from_json(given.job).seed
+
+
+@pair
+def test_a_worker_that_is_not_heard_of_is_ended_and_its_late_result_refused(world):
+    world.steps()
+    silent, other = world.dispatcher.given
+    world.dispatcher.inbox += [Beat(silent.attempt, silent.token), Beat(other.attempt, other.token)]
+    world.steps(1)
+    world.clock.now += WORKER_LEASE_SECONDS - 5
+    world.dispatcher.inbox.append(Beat(other.attempt, other.token))
+    world.steps(1, seconds=6.0)
+    world.steps(1)
+    assert world.dispatcher.killed == [silent.attempt]
+    world.steps(4)
+    world.dispatcher.end(silent, value=9.0)
+    world.steps(2)
+    trial = world.trials()[0]
+    assert (trial.state, trial.value) == (TrialState.RUNNING, None)
+    refused = world.events("refused")[-1]
+    assert refused.payload["attempt"] == silent.attempt
+    assert "expected it running, found it lost" in refused.payload["reason"]
+
+
+def test_a_worker_process_that_is_still_starting_is_given_time(world):
+    world.steps()
+    world.clock.now += START_LEASE_SECONDS - 10
+    world.steps(1)
+    assert world.dispatcher.killed == []
+
+
+@pair
+def test_a_trial_that_loses_every_worker_becomes_a_failure_on_record(world):
+    for _ in range(2):
+        world.steps()
+        given = [assignment for assignment in world.dispatcher.given if assignment.trial == 0][-1]
+        world.dispatcher.inbox.append(Vanished(given.attempt, given.token, reason="no memory"))
+        world.steps(1)
+    trial = world.trials()[0]
+    assert (trial.state, trial.position) == (TrialState.FAILED, 0)
+    assert trial.message == "its worker was lost 2 times; the last time: no memory"
+
+
+@pair
+def test_the_tasks_own_error_is_tried_again_and_then_an_observation(world):
+    for _ in range(2):
+        world.steps()
+        given = [assignment for assignment in world.dispatcher.given if assignment.trial == 0][-1]
+        world.dispatcher.inbox.append(Crashed(given.attempt, given.token, message="ValueError: no"))
+        world.steps(1)
+    trial = world.trials()[0]
+    assert world.attempts(0) == [AttemptState.FAILED, AttemptState.FAILED]
+    assert (trial.state, trial.message) == (TrialState.FAILED, "ValueError: no")
+
+
+def test_an_error_that_no_retry_mends_is_final_at_once(world):
+    world.steps()
+    given = world.dispatcher.given[0]
+    world.dispatcher.inbox.append(Crashed(given.attempt, given.token, message="bad", retry=False))
+    world.steps(1)
+    assert world.trials()[0].state is TrialState.FAILED
+
+
+def test_a_divergence_is_an_observation_and_the_study_goes_on(world):
+    world.steps()
+    world.dispatcher.end(world.dispatcher.given[0], status="diverged", message="iteration 3: reward became NaN")
+    world.steps()
+    assert world.states() == ["diverged", "running", "running"]
+    assert world.trials()[0].message == "iteration 3: reward became NaN"
+
+
+def test_a_study_whose_every_trial_fails_stops_with_the_reason(world):
+    world.steps()
+    for assignment in list(world.dispatcher.given):
+        world.dispatcher.inbox.append(Crashed(assignment.attempt, assignment.token, message="no module", retry=False))
+    world.steps()
+    row = world.store.study("s")
+    assert row.state is StudyState.FAILED
+    assert row.reason == "the last 2 trials all failed (stop_after_failures: 2); the newest: no module"
+
+
+def test_a_failed_study_that_is_resumed_gets_a_new_chance(world):
+    test_a_study_whose_every_trial_fails_stops_with_the_reason(world)
+    with world.store.transaction() as change:
+        change.ask("s", "run")
+    world.coordinator.take("s")
+    world.steps()
+    world.dispatcher.end(world.dispatcher.given[-1])
+    world.steps()
+    assert world.store.study("s").state is StudyState.COMPLETE
+
+
+def test_pause_stops_at_checkpoints_and_the_next_driver_goes_on(world):
+    world.steps()
+    with world.store.transaction() as change:
+        change.ask("s", "pause")
+    world.steps(1)
+    assert sorted(world.dispatcher.stopped) == [assignment.attempt for assignment in world.dispatcher.given]
+    world.dispatcher.inbox += [Stopped(given.attempt, given.token) for given in world.dispatcher.given]
+    world.steps(2)
+    row = world.store.study("s")
+    assert (row.state, row.reason) == (StudyState.PAUSED, "paused by request")
+    assert world.attempts(0) == [AttemptState.PREEMPTED]
+    with world.store.transaction() as change:
+        change.ask("s", "run")
+    world.coordinator.take("s")
+    world.steps()
+    assert world.attempts(0) == [AttemptState.PREEMPTED, AttemptState.RUNNING]
+    assert world.trials()[0].retries == 0
+
+
+def test_a_worker_that_reaches_no_checkpoint_in_time_is_ended(world):
+    world.steps()
+    world.coordinator.leave(StudyState.PAUSED, "interrupted")
+    world.steps(1)
+    assert world.store.study("s").state is StudyState.RUNNING
+    world.clock.now += 60
+    world.steps(2)
+    assert world.dispatcher.killed == [given.attempt for given in world.dispatcher.given]
+    row = world.store.study("s")
+    assert (row.state, row.reason) == (StudyState.PAUSED, "interrupted")
+    assert world.attempts(1) == [AttemptState.PREEMPTED]
+
+
+def test_cancel_ends_open_trials(world):
+    world.steps()
+    world.dispatcher.end(world.dispatcher.given[0])
+    world.steps(1)
+    with world.store.transaction() as change:
+        change.ask("s", "cancel")
+    world.steps(1)
+    running = [given for given in world.dispatcher.given if given.attempt not in world.dispatcher.over]
+    world.dispatcher.inbox += [Stopped(given.attempt, given.token) for given in running]
+    world.steps(2)
+    assert world.store.study("s").state is StudyState.CANCELLED
+    assert world.states() == ["complete", "cancelled", "cancelled"]
+
+
+def test_a_second_driver_is_told_who_drives(world):
+    world.steps()
+    with pytest.raises(StudyDriven, match="s"):
+        world.driver().take("s")
+
+
+def test_a_driver_that_was_taken_over_ends_its_workers_and_writes_no_more(world):
+    world.steps()
+    old = list(world.dispatcher.given)
+    second = Scripted()
+    successor = world.driver(second)
+    successor.take("s", take_over=True)
+    world.dispatcher.end(old[0], value=9.0)
+    world.steps(2)
+    assert world.coordinator.driven() == []
+    assert sorted(world.dispatcher.killed) == [given.attempt for given in old]
+    assert world.trials()[0].value is None
+    world.coordinator = successor
+    world.steps()
+    assert [given.trial for given in second.given] == [0, 1]
+    assert world.attempts(0) == [AttemptState.LOST, AttemptState.RUNNING]
+    assert world.trials()[0].retries == 0
+    assert world.events("driver_fenced")
+
+
+def test_a_driver_on_another_host_is_taken_over_once_its_beat_stands_still(world, tmp_path):
+    other = World(tmp_path / "other.db")
+    with other.store.transaction() as change:
+        change.drive("s", Driver(id="x", host="elsewhere.invalid", pid=1))
+    other.coordinator.take("s")  # watches for a lease's length by its own clock
+    assert other.coordinator.driven() == ["s"]
+    assert other.clock.now >= 1015.0
+    other.store.close()
+
+
+def test_a_beating_driver_on_another_host_is_left_alone(tmp_path):
+    world = World(tmp_path / "halma.db")
+    with world.store.transaction() as change:
+        token = change.drive("s", Driver(id="x", host="elsewhere.invalid", pid=1))
+    asleep = world.clock.sleep
+
+    def sleep(seconds):
+        asleep(seconds)
+        with world.store.transaction() as change:
+            change.beat_drive(world.row.id, token)
+
+    world.clock.sleep = sleep
+    world.coordinator = world.driver()
+    with pytest.raises(StudyDriven, match=r"elsewhere\.invalid"):
+        world.coordinator.take("s")
+    world.store.close()
+
+
+class Flaky:
+    """A store whose transactions fail for a while, before or after the commit."""
+
+    def __init__(self, store):
+        self._store = store
+        self.fail_before = self.fail_after = 0
+
+    def __getattr__(self, name):
+        return getattr(self._store, name)
+
+    def transaction(self):
+        flaky = self
+
+        class Around:
+            def __enter__(self):
+                if flaky.fail_before > 0:
+                    flaky.fail_before -= 1
+                    raise DatabaseUnavailable("away")
+                self.inner = flaky._store.transaction()
+                return self.inner.__enter__()
+
+            def __exit__(self, *exception):
+                handled = self.inner.__exit__(*exception)
+                if flaky.fail_after > 0 and exception[0] is None:
+                    flaky.fail_after -= 1
+                    raise DatabaseUnavailable("the answer to the commit was lost")
+                return handled
+
+        return Around()
+
+
+@pytest.mark.parametrize("moment", ["fail_before", "fail_after"])
+@pytest.mark.parametrize("step", range(12))
+def test_no_result_is_lost_or_doubled_when_the_database_goes_away_at_any_commit(tmp_path, moment, step):
+    world = World(tmp_path / "halma.db")
+    world.store = flaky = Flaky(world.store)
+    world.coordinator = world.driver()
+    world.coordinator.take("s")
+    for tick in range(30):
+        if tick == step:
+            setattr(flaky, moment, 2)
+        world.steps(1)
+        for given in world.dispatcher.given:
+            if given.attempt not in world.dispatcher.over and not any(
+                message.attempt == given.attempt for message in world.dispatcher.inbox
+            ):
+                world.dispatcher.end(given, value=float(given.trial))
+    assert world.store.study("s").state is StudyState.COMPLETE
+    assert [(trial.number, trial.value) for trial in world.trials()] == [(0, 0.0), (1, 1.0), (2, 2.0)]
+    assert sorted(trial.position for trial in world.trials()) == [0, 1, 2]
+    for number in range(3):
+        assert world.attempts(number).count(AttemptState.COMPLETE) == 1
+    world.store.close()
+
+
+def test_studies_of_higher_priority_get_the_slots_first(tmp_path):
+    world = World(tmp_path / "halma.db", overrides=["search.trials=9", "resources.parallel=2"])
+    admit(world.store, parse_study(STUDY, name="s.yaml", overrides=["name=urgent", "priority=5"]))
+    world.dispatcher.size = 2
+    world.coordinator.take("s")
+    world.coordinator.take("urgent")
+    world.steps()
+    assert {json.loads(given.job)["study"] for given in world.dispatcher.given} == {"urgent"}
+    world.store.close()
+
+
+def test_two_equal_studies_share_the_pool(tmp_path):
+    world = World(tmp_path / "halma.db", overrides=["resources.parallel=4", "search.trials=9"])
+    admit(
+        world.store, parse_study(STUDY, name="s.yaml", overrides=["name=t", "resources.parallel=4", "search.trials=9"])
+    )
+    world.dispatcher.size = 4
+    for name in ("s", "t"):
+        world.coordinator.take(name)
+    world.steps(6)
+    shares = [json.loads(given.job)["study"] for given in world.dispatcher.given]
+    assert sorted(shares) == ["s", "s", "t", "t"]
+    world.store.close()

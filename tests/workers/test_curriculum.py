@@ -1,0 +1,68 @@
+import pytest
+
+from workers.contracts import BadJob
+from workers.learning.problem import SuccessCurriculum
+
+
+def played(curriculum, successes, episodes=20):
+    curriculum.update([0.0] * episodes, [i < successes for i in range(episodes)])
+    return curriculum.level
+
+
+@pytest.mark.parametrize(
+    ("successes", "steps"), [(0, 0), (9, 0), (10, 1), (16, 1), (17, 2), (18, 2), (19, 5), (20, 5)]
+)  # fmt: skip
+def test_the_level_rises_by_how_often_it_was_mastered(successes, steps):
+    assert played(SuccessCurriculum(0.5, 0.01), successes) == pytest.approx(0.5 + 0.01 * steps)
+
+
+def test_many_steps_do_not_add_up_rounding():
+    curriculum = SuccessCurriculum(0.5, 0.01)
+    for _ in range(50):
+        played(curriculum, 10)
+    assert curriculum.level == 1.0
+
+
+def test_it_is_finished_when_the_last_level_has_been_mastered_and_not_when_it_has_been_reached():
+    curriculum = SuccessCurriculum(0.5, 0.1, freeze=0.7)
+    assert played(curriculum, 20) == 0.7
+    assert not curriculum.finished()
+    played(curriculum, 9)
+    assert not curriculum.finished()
+    played(curriculum, 10)
+    assert curriculum.finished()
+    assert curriculum.metrics() == {"level_mastered": 0.7}
+
+
+def test_without_a_last_level_it_never_ends():
+    curriculum = SuccessCurriculum(0.5, 0.1)
+    for _ in range(100):
+        played(curriculum, 20)
+    assert not curriculum.finished()
+
+
+def test_a_state_read_back_goes_on_as_the_one_written():
+    first, second = SuccessCurriculum(0.5, 0.1, freeze=0.9), SuccessCurriculum(0.5, 0.1, freeze=0.9)
+    played(first, 17)
+    second.load(first.state())
+    for successes in (3, 12, 20, 11):
+        assert played(first, successes) == played(second, successes)
+        assert first.finished() == second.finished()
+        assert first.metrics() == second.metrics()
+
+
+def test_an_environment_without_success_is_refused():
+    with pytest.raises(BadJob, match=r'curriculum: expected info\["success"\] at the end of each episode, found none'):
+        SuccessCurriculum(0.5, 0.1).update([1.0, 2.0], [])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((0.5, 0.0), "expected a step above 0, found 0.0"),
+        ((0.5, 0.1, 0.4), "expected a freeze level of at least the start level 0.5, found 0.4"),
+    ],
+)
+def test_a_curriculum_that_makes_no_sense_is_refused(arguments, message):
+    with pytest.raises(BadJob, match=message):
+        SuccessCurriculum(*arguments)

@@ -1,0 +1,108 @@
+"""The rules, each in a scripted situation, and the reward against hand-worked values."""
+
+import numpy as np
+import pytest
+
+from workers.physics.athlete import COORDINATES
+from workers.physics.rotations import from_rotation_vector
+from workers.physics.world import Contacts
+from workers.tasks.high_jump import rules, takeoff
+from workers.tasks.high_jump.rules import Rules
+from workers.tasks.high_jump.settings import HighJumpSettings
+
+LYING = from_rotation_vector(np.array([0, 0, np.pi / 2]))  # on the back, head towards -x
+
+
+@pytest.fixture
+def referee(world):
+    link = world.athlete.link
+    return Rules(foot=link["right_ankle"], head=link["neck"])
+
+
+def put(world, position, orientation=(0, 0, 0, 1), velocity=(0, 0, 0)):
+    world.athlete.place(position, orientation)
+    world.athlete.bend(np.zeros(COORDINATES), np.zeros(COORDINATES))
+    world.athlete.push(velocity, (0, 0, 0))
+    world.athlete.command(np.zeros(COORDINATES))
+    world.settle()
+
+
+def judge(world, referee, frames):
+    for frame in range(1, frames + 1):
+        contacts = world.advance()
+        rear = float(world.athlete.bounds()[0][0])
+        verdict = referee.verdict(contacts, frame / 120, rear)
+        if verdict:
+            return verdict
+    return None
+
+
+def test_running_into_the_wall_fails(world, referee):
+    world.set_bar(1.5)
+    put(world, [-0.4, 1.0, 0], velocity=(3, 0, 0))
+    assert judge(world, referee, 30) == "wall"
+
+
+def test_passing_above_the_wall_touches_nothing(world, referee):
+    world.set_bar(0.5)
+    put(world, [-0.5, 1.8, 0], velocity=(4, 0, 0))
+    assert judge(world, referee, 20) is None
+
+
+def test_a_body_that_falls_on_the_ground_fails(world, referee):
+    put(world, [-3, 0.5, 0], LYING)
+    assert judge(world, referee, 60) == "ground"
+
+
+def test_the_take_off_foot_may_touch_the_ground(world, referee):
+    takeoff.start_state(world, HighJumpSettings().take_off({}))
+    world.stand()
+    contacts = world.advance()
+    assert contacts.ground == {referee.foot}
+    assert referee.verdict(contacts, 0.01, None) is None
+
+
+def test_the_other_foot_may_not(referee, world):
+    other = world.athlete.link["left_ankle"]
+    assert referee.verdict(Contacts(ground={other, referee.foot}), 0.01, None) == "ground"
+
+
+def test_lying_on_the_mat_has_landed(world, referee):
+    world.set_bar(0.3)
+    put(world, [2.0, 0.6, 0], LYING)
+    assert judge(world, referee, 60) == "landed"
+
+
+def test_a_leg_that_still_hangs_over_the_bar_has_not_landed(world, referee):
+    world.set_bar(0.3)
+    put(world, [0.4, 0.5, 0], from_rotation_vector(np.array([0, 0, -np.pi / 2])))  # feet towards -x, across the wall
+    contacts = Contacts(mat={-1})
+    world.athlete.links()
+    rear = float(world.athlete.bounds()[0][0])
+    assert rear < 0
+    assert referee.verdict(contacts, 0.5, rear) is None
+
+
+def test_two_seconds_are_the_limit(referee):
+    assert referee.verdict(Contacts(), 1.99, None) is None
+    assert referee.verdict(Contacts(), 2.0, None) == "time"
+
+
+def test_touching_the_wall_counts_even_on_the_mat(referee):
+    assert referee.verdict(Contacts(wall={3}, mat={-1}), 0.5, 1.0) == "wall"
+
+
+def test_the_reward_against_a_hand_worked_value():
+    # bar 1.1 m: c_offset = 48 - 33 / 2 = 31.5; naturalness 1 - (6.3 / 31.5)^2 = 0.96; exp(-0.02 * 5) = 0.904837
+    found = rules.reward(landed=True, head_first=True, spin=5.0, offset=6.3, bar=1.1)
+    assert found == pytest.approx(0.904837 * 0.7 * 0.96, rel=1e-5)
+
+
+def test_the_reward_is_sparse():
+    assert rules.reward(landed=False, head_first=False, spin=0.0, offset=0.0, bar=0.5) == 0.0
+    assert rules.reward(landed=True, head_first=False, spin=0.0, offset=0.0, bar=0.5) == 1.0
+
+
+def test_the_offset_bound_falls_from_48_to_15():
+    assert [rules.offset_bound(bar) for bar in (0.3, 0.6, 1.6, 2.2)] == pytest.approx([48, 48, 15, 15])
+    assert rules.naturalness(100.0, 0.5) == 0.0

@@ -1,0 +1,1 @@
+"""How does a policy learn? Problems, curricula, PPO; nothing of physics."""

@@ -1,0 +1,237 @@
+"""The athlete's world: ground, wall and mat, looked at 120 times a second.
+
+Stable PD control ignores contact, so a long step between two of its solutions starves the push-off. While a foot bears
+on the ground, physics runs at 600 Hz and the controllers are solved at every step; in the air it runs at 240 Hz, the
+controllers at 120 Hz: there the centre of mass then keeps to its parabola within 3 mm as a rule, 14 mm at worst
+(at 600 Hz 1 and 6 mm), and a frame takes three fifths of the time. The joints' ranges are watched at 120 Hz in both.
+
+A world remembers: contact caches and warm-started impulses differ between a used and a new one in the last bits. A
+training that can be interrupted rebuilds its worlds at each iteration (`World.rebuild`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pybullet as bullet
+import pybullet_data
+
+from workers.physics.athlete import Athlete
+from workers.physics.rotations import Array
+
+FRAME = 1 / 120
+"""Seconds between two looks at the world."""
+LOADED_STEPS = 5
+"""Physics steps in a frame while a foot bears on the ground; each of them solves the controllers."""
+FLIGHT_STEPS = 2
+"""Physics steps in a frame in the air."""
+GRAVITY = 9.81
+"""m/s^2, downwards."""
+WALL_HALF_THICKNESS = 0.02
+"""m; the bar's plane is the middle of the wall."""
+_WALL_HALF_HEIGHT = 1.5
+_HALF_WIDTH = 5.0
+_MAT_HALF_LENGTH = 2.0
+_SOLVER_ITERATIONS = 10
+_TOUCH = 0.002
+"""Bodies closer than this (m) touch: Bullet reports contact points before they bear load."""
+_LOADED_AFTER_CONTACT = 1.5 * FRAME
+"""A foot counts as loaded for so many seconds after its last contact: it may skip a step or two."""
+
+
+@dataclass(slots=True)
+class Contacts:
+    """What the athlete touched in one frame, by Bullet link index (-1: root).
+
+    Args:
+        ground, wall, mat: links that touched each.
+        ground_force: normal force of the ground, mean over the frame, N.
+        ground_peak: largest of its steps, N.
+        penetration: deepest overlap of a body with ground, wall or mat, m.
+        overlap: deepest overlap of two bodies of the athlete, m.
+        torque: of the muscles at the start of the frame ``[28]``, N m; only where the world measures it.
+    """
+
+    ground: set[int] = field(default_factory=set)
+    wall: set[int] = field(default_factory=set)
+    mat: set[int] = field(default_factory=set)
+    ground_force: float = 0.0
+    ground_peak: float = 0.0
+    penetration: float = 0.0
+    overlap: float = 0.0
+    torque: Array | None = None
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Bullet prints from C while it loads: send file descriptor 1 elsewhere for so long."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
+class World:
+    """One Bullet world with an athlete, without display.
+
+    The wall stands in the plane x = 0, the mat begins behind it.
+
+    Args:
+        mat_height: thickness of the mat, m.
+        measure_torque: whether `advance` tells the muscles' torques, which takes longer than the frame itself.
+    """
+
+    athlete: Athlete
+
+    def __init__(self, mat_height: float = 0.3, *, measure_torque: bool = False) -> None:
+        self.mat_height = mat_height
+        self.measure_torque = measure_torque
+        self._client = -1
+        self.rebuild()
+
+    def rebuild(self) -> None:
+        """Begin again as newly constructed, bit for bit.
+
+        Bullet makes a new dynamics world with new caches; connecting anew would do no more and take five times as long.
+        """
+        with quiet():
+            if self._client < 0:
+                self._client = bullet.connect(bullet.DIRECT)
+            self._k = {"physicsClientId": self._client}
+            bullet.resetSimulation(**self._k)
+            bullet.setGravity(0, -GRAVITY, 0, **self._k)
+            self.athlete = Athlete(self._client)
+            ground = Path(pybullet_data.getDataPath()) / "plane_implicit.urdf"
+            upright = bullet.getQuaternionFromEuler([-np.pi / 2, 0, 0])
+            self._ground = bullet.loadURDF(str(ground), [0, 0, 0], upright, useMaximalCoordinates=True, **self._k)
+            bullet.changeDynamics(self._ground, -1, lateralFriction=1.0, **self._k)
+            self._wall = self._box([WALL_HALF_THICKNESS, _WALL_HALF_HEIGHT, _HALF_WIDTH])
+            self._mat = self._box([_MAT_HALF_LENGTH, self.mat_height / 2, _HALF_WIDTH])
+        behind = WALL_HALF_THICKNESS + _MAT_HALF_LENGTH
+        self._put(self._mat, behind, self.mat_height / 2)
+        bullet.setPhysicsEngineParameter(
+            numSolverIterations=_SOLVER_ITERATIONS, deterministicOverlappingPairs=1, numSubSteps=0, **self._k
+        )
+        self._in_flight = True
+        self._set_flight(in_flight=False)
+        self.set_bar(0.0)
+        self.settle()
+
+    def close(self) -> None:
+        """Free Bullet's memory. A closed world can only be rebuilt."""
+        if self._client >= 0:
+            bullet.disconnect(self._client)
+            self._client = -1
+
+    def _box(self, half: list[float]) -> int:
+        shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half, **self._k)
+        return int(bullet.createMultiBody(0, shape, -1, [0, -10, 0], **self._k))
+
+    def _put(self, body: int, x: float, y: float) -> None:
+        bullet.resetBasePositionAndOrientation(body, [x, y, 0], [0, 0, 0, 1], **self._k)
+
+    def _set_flight(self, *, in_flight: bool) -> None:
+        """Let one call of Bullet make a loaded step, or all the steps of a frame in the air."""
+        if in_flight == self._in_flight:
+            return
+        self._in_flight = in_flight
+        bullet.setPhysicsEngineParameter(numSubSteps=FLIGHT_STEPS if in_flight else 0, **self._k)
+        bullet.setTimeStep(FRAME if in_flight else FRAME / LOADED_STEPS, **self._k)
+
+    def set_bar(self, height: float) -> None:
+        """Raise the wall to `height`, m; 0 buries it. Above 3 m its foot would leave the ground."""
+        self.bar = height
+        self._put(self._wall, 0.0, height - _WALL_HALF_HEIGHT)
+
+    def settle(self) -> None:
+        """Forget the contacts of the last episode; call after placing the athlete."""
+        self._since_ground = np.inf
+
+    @property
+    def loaded(self) -> bool:
+        """Whether the athlete bears on the ground (or did until a moment ago)."""
+        return self._since_ground < _LOADED_AFTER_CONTACT
+
+    def stand(self) -> None:
+        """Say that the athlete bears on the ground from the first step on."""
+        self._since_ground = 0.0
+
+    def advance(self) -> Contacts:
+        """Simulate one frame (1/120 s) and tell what was touched."""
+        seen = Contacts()
+        loaded = self.loaded
+        self._set_flight(in_flight=not loaded)
+        if loaded:
+            dt = FRAME / LOADED_STEPS
+            for step in range(LOADED_STEPS):
+                self.athlete.actuate(watch_limits=step == 0)
+                if step == 0 and self.measure_torque:
+                    seen.torque = self.athlete.torques(dt)
+                bullet.stepSimulation(**self._k)
+                self._look(seen, dt, 1 / LOADED_STEPS)
+        else:
+            self.athlete.actuate(watch_limits=True)
+            if self.measure_torque:
+                seen.torque = self.athlete.torques(FRAME)
+            bullet.stepSimulation(**self._k)
+            self._look(seen, FRAME, 1.0)
+        return seen
+
+    def _look(self, seen: Contacts, dt: float, share: float) -> None:
+        """Add the contacts of the step just made to those `seen` in its frame."""
+        force = 0.0
+        self._since_ground += dt
+        body = self.athlete.body
+        for point in bullet.getContactPoints(body, **self._k):
+            distance = point[8]
+            if distance > _TOUCH:
+                continue
+            if point[1] == body:
+                link, other = point[3], point[2]
+            else:
+                link, other = point[4], point[1]
+            if other == body:
+                seen.overlap = max(seen.overlap, -distance)
+                continue
+            seen.penetration = max(seen.penetration, -distance)
+            if other == self._ground:
+                seen.ground.add(link)
+                self._since_ground = 0.0
+                force += point[9]
+            elif other == self._wall:
+                seen.wall.add(link)
+            elif other == self._mat:
+                seen.mat.add(link)
+        seen.ground_force += force * share
+        seen.ground_peak = max(seen.ground_peak, force)
+
+    def body_shapes(self) -> list[dict[str, object]]:
+        """Collision shapes of the athlete's bodies, for pictures.
+
+        Each is `{"body": index, "shape": "sphere" | "capsule" | "box", "size": [...], "offset": [x, y, z],
+        "rotation": [x, y, z, w]}` in the frame of the body's centre of mass; size is [radius], [radius, length along
+        the shape's z] or [x, y, z], m.
+        """
+        kinds = {bullet.GEOM_SPHERE: "sphere", bullet.GEOM_CAPSULE: "capsule", bullet.GEOM_BOX: "box"}
+        shapes: list[dict[str, object]] = []
+        for body in range(len(self.athlete.names)):
+            for data in bullet.getCollisionShapeData(self.athlete.body, body - 1, **self._k):
+                kind = kinds[data[2]]
+                length, radius = data[3][0], data[3][1]
+                size = {"sphere": [length], "capsule": [radius, length], "box": list(data[3])}[kind]
+                shapes.append(
+                    {"body": body, "shape": kind, "size": size, "offset": list(data[5]), "rotation": list(data[6])}
+                )
+        return shapes

@@ -1,0 +1,1 @@
+"""The skills. Each is a `Task`."""

@@ -1,0 +1,132 @@
+"""The high jump as a `gymnasium.Env`: the policy aims the athlete's joints ten times a second."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.physics.athlete import COORDINATES
+from workers.physics.world import FRAME, Contacts, World
+from workers.replay import Recorder
+from workers.tasks.high_jump import rules, takeoff
+from workers.tasks.high_jump.takeoff import TakeOff
+
+_ACTIVATION_FRAMES = 3
+"""Frames (25 ms) in which a new target takes over from the old one. Muscles take as long to become active, and torques
+that jump let the foot strike the ground with more than 6 body weights."""
+
+
+class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
+    """One athlete before one bar.
+
+    Observation ``[173]``: position of the root (m), height of the bar (m), then for each of the 13 bodies its position
+    relative to the root (m), orientation (quaternion), velocity (m/s) and angular velocity (rad/s), all in the world
+    frame, whose plane x = 0 is the bar's.
+
+    Action ``[28]``, unbounded: offset of the target pose from the push-off pose, rad. The target moves there in 25 ms.
+
+    Args:
+        state: the take-off state.
+        control_rate: actions a second; a divisor of 120.
+        mat_height: m.
+        recorder: keeps the frames of each episode, from the last `reset` on.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium declares it so
+
+    def __init__(
+        self, state: TakeOff, *, control_rate: int = 10, mat_height: float = 0.3, recorder: Recorder | None = None
+    ) -> None:
+        self.state = state
+        self.recorder = recorder
+        self.world = World(mat_height, measure_torque=recorder is not None)
+        self._unused = True
+        self._frames = round(1 / (control_rate * FRAME))
+        self._reference = takeoff.push_off_pose()
+        self._start = takeoff.start_state(self.world, state)
+        athlete = self.world.athlete
+        self._rules = rules.Rules(foot=athlete.link[takeoff.TAKE_OFF_FOOT], head=athlete.link["neck"])
+        size = 4 + 13 * len(athlete.names)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64)
+        self.action_space = gymnasium.spaces.Box(-np.inf, np.inf, (COORDINATES,), np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        """Back to the take-off state, before a bar of `options["level"]` m (0.5 without).
+
+        Nothing is drawn at random, so the seed changes nothing. `options["fresh"]` rebuilds the world.
+        """
+        super().reset(seed=seed)
+        options = options or {}
+        if options.get("fresh") and not self._unused:
+            self.world.rebuild()
+        self._unused = False
+        takeoff.apply(self.world, self._start)
+        level = options.get("level")
+        self.world.set_bar(0.5 if level is None else float(level))
+        self.world.settle()
+        if self.state.formulation == "support":
+            self.world.stand()
+        self._target = self._start.pose
+        self._elapsed = 0
+        self._spin = 0.0
+        self._offset = 0.0
+        self._actions = 0
+        if self.recorder is not None:
+            self.recorder.start(self.world)
+            self.recorder.add(self.world, Contacts())
+        return self._observation(), {}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float64], float, bool, bool, dict[str, Any]]:
+        """Pull towards the push-off pose plus `action` for one control interval, or until the jump is decided."""
+        offset = np.asarray(action, np.float64)
+        before, target = self._target, self._reference + offset
+        self._target = target
+        self._offset += float(np.abs(offset).sum())
+        self._actions += 1
+        verdict = None
+        for frame in range(1, self._frames + 1):
+            if frame <= _ACTIVATION_FRAMES:
+                self.world.athlete.command(before + (target - before) * (frame / _ACTIVATION_FRAMES))
+            contacts = self.world.advance()
+            self._elapsed += 1
+            self._spin += self.world.athlete.spin()
+            if self.recorder is not None:
+                self.recorder.add(self.world, contacts)
+            rear = float(self.world.athlete.bounds()[0][0]) if contacts.mat else None
+            verdict = self._rules.verdict(contacts, self._elapsed * FRAME, rear)
+            if verdict is not None:
+                break
+        observation = self._observation()
+        if verdict is None:
+            # a world that has blown up gives NaN: end the episode, the learner says so
+            return observation, 0.0, not bool(np.isfinite(observation).all()), False, {}
+        landed = verdict == "landed"
+        reward = rules.reward(
+            landed=landed,
+            head_first=self._rules.head in contacts.mat,
+            spin=self._spin / self._elapsed,
+            offset=self._offset / self._actions,
+            bar=self.world.bar,
+        )
+        metrics = {f"end_{name}": float(verdict == name) for name in ("wall", "ground", "time")}
+        return observation, reward, True, False, {"success": landed, "verdict": verdict, "metrics": metrics}
+
+    @property
+    def elapsed(self) -> float:
+        """Simulated seconds since the last reset."""
+        return self._elapsed * FRAME
+
+    def _observation(self) -> NDArray[np.float64]:
+        links = self.world.athlete.links()
+        root = links[0, :3].copy()
+        links[:, :3] -= root
+        return np.concatenate([root, [self.world.bar], links.ravel()])
+
+    def close(self) -> None:
+        """Free the world."""
+        self.world.close()

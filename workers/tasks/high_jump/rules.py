@@ -1,0 +1,82 @@
+"""The rules of the high jump and its reward, as published (Yin et al. 2021)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from workers.physics.world import WALL_HALF_THICKNESS, Contacts
+
+Verdict = Literal["landed", "wall", "ground", "time"]
+
+TIME_LIMIT = 2.0
+"""s; a jump that takes longer has failed."""
+HEAD_FIRST = 0.7
+"""Factor of the reward for landing on the head (safety)."""
+SPIN_PENALTY = 0.02
+"""s/rad, in exp(-0.02 |omega|)."""
+OFFSET_EASY, OFFSET_HARD = 48.0, 15.0
+"""Mean offset (L1 norm, rad) at which naturalness is 0, for low and for high bars."""
+OFFSET_EASY_BAR, OFFSET_HARD_BAR = 0.6, 1.6
+"""Bars between which the bound falls, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """Judges a jump frame by frame.
+
+    Args:
+        foot: Bullet link of the take-off foot, the only part that may touch the ground.
+        head: Bullet link of the head.
+    """
+
+    foot: int
+    head: int
+
+    def verdict(self, contacts: Contacts, time: float, rear: float | None) -> Verdict | None:
+        """What ends the jump now, or None.
+
+        Args:
+            contacts: of this frame.
+            time: since the start, s.
+            rear: lowest x of all parts (m); only needed where the mat is touched. The jump has landed once the mat is
+                touched and all parts are behind the wall.
+        """
+        if contacts.wall:
+            return "wall"
+        if contacts.ground - {self.foot}:
+            return "ground"
+        if contacts.mat and rear is not None and rear > WALL_HALF_THICKNESS:
+            return "landed"
+        if time >= TIME_LIMIT:
+            return "time"
+        return None
+
+
+def offset_bound(bar: float) -> float:
+    """c_offset of equation 4 for a bar height (m)."""
+    hardness = np.clip((bar - OFFSET_EASY_BAR) / (OFFSET_HARD_BAR - OFFSET_EASY_BAR), 0, 1)
+    return float(OFFSET_EASY + (OFFSET_HARD - OFFSET_EASY) * hardness)
+
+
+def naturalness(offset: float, bar: float) -> float:
+    """1 - min((offset / c_offset)^2, 1), equation 4; `offset` is the mean L1 norm of the actions, rad."""
+    return 1.0 - min((offset / offset_bound(bar)) ** 2, 1.0)
+
+
+def reward(*, landed: bool, head_first: bool, spin: float, offset: float, bar: float) -> float:
+    """Reward of a finished jump, in [0, 1]: completion x exp(-0.02 |omega|) x safety x naturalness. Sparse.
+
+    Args:
+        landed: whether the jump was completed; without it there is nothing.
+        head_first: whether the head touched the mat as it landed.
+        spin: mean magnitude of the root's angular velocity, rad/s.
+        offset: mean L1 norm of the actions, rad.
+        bar: height of the bar, m.
+    """
+    if not landed:
+        return 0.0
+    safety = HEAD_FIRST if head_first else 1.0
+    return float(np.exp(-SPIN_PENALTY * spin) * safety * naturalness(offset, bar))

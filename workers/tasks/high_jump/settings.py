@@ -1,0 +1,110 @@
+"""Settings of the task, checked."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from workers.contracts import JSON, BadSetting, Scalar
+from workers.learning.settings import (
+    Budget,
+    NetworkSettings,
+    PPOSettings,
+    Rule,
+    TrainingSettings,
+    refuse_unknown,
+    setting,
+)
+from workers.tasks.high_jump import takeoff
+from workers.tasks.high_jump.behaviour import FeatureName
+from workers.tasks.high_jump.takeoff import Formulation, TakeOff
+
+SECTION = "task.settings"
+
+TRAINING = TrainingSettings(
+    budget=Budget(samples=100_000),
+    network=NetworkSettings(hidden=(256, 128)),
+    ppo=PPOSettings(environments=4, samples=400),
+)
+"""Training settings where a study gives none. With four environments inference is cheap enough, and rebuilding too."""
+
+
+@dataclass(frozen=True, slots=True)
+class HighJumpSettings:
+    """What a study may set of the high jump.
+
+    Args:
+        formulation: `support` begins in the middle of the last support, so that the stance leg must push off;
+            `flight` as the foot leaves the ground.
+        feature: which behaviour the search sees: `facing` (an angle) or `rotation` (a unit quaternion).
+        forward_speed: speed of the run-up along the athlete's heading, m/s.
+        rise: upward velocity of the root at the start, m/s; None: 1.2 for `support`, 3.5 for `flight`.
+        time_to_bar: the bar stands where the athlete gets in so many seconds, which should be about the highest point.
+        first_bar: where the curriculum begins, m.
+        lowest_bar: a jump over a lower bar counts for nothing: it can be stepped over, and every style can, m.
+        bar_step: one step of the curriculum, m.
+        highest_bar: mastered, the training ends, m.
+        control_rate: actions a second, a divisor of 120.
+        mat_height: thickness of the mat, m.
+    """
+
+    formulation: Formulation = dataclasses.field(
+        default="support", metadata={"rule": Rule("str", choices=("support", "flight"))}
+    )
+    feature: FeatureName = dataclasses.field(
+        default="facing", metadata={"rule": Rule("str", choices=("facing", "rotation"))}
+    )
+    forward_speed: float = setting(3.5, Rule("float", 0.0, 10.0))
+    rise: float | None = setting(None, Rule("float", -3.0, 6.0, optional=True))
+    time_to_bar: float = setting(0.35, Rule("float", 0.1, 2.0))
+    first_bar: float = setting(0.2, Rule("float", 0.1, 2.5))
+    lowest_bar: float = setting(0.4, Rule("float", 0.0, 2.5))
+    bar_step: float = setting(0.02, Rule("float", 0.001, 0.5))
+    highest_bar: float = setting(2.5, Rule("float", 0.1, 2.9))
+    control_rate: int = setting(10, Rule("int", 1, 120))
+    mat_height: float = setting(0.3, Rule("float", 0.05, 1.0))
+
+    @classmethod
+    def parse(cls, settings: Mapping[str, JSON]) -> HighJumpSettings:
+        """The settings over their defaults. Raises `BadSetting` naming the field, what was expected and found."""
+        rules: dict[str, Rule] = {f.name: f.metadata["rule"] for f in dataclasses.fields(cls)}
+        refuse_unknown(SECTION, "", settings, rules)
+        values: dict[str, Any] = {key: rules[key].read(SECTION, key, value) for key, value in settings.items()}
+        parsed = cls(**values)
+        if 120 % parsed.control_rate:
+            raise BadSetting(
+                SECTION,
+                "control_rate",
+                f"expected a divisor of 120 (the frames of a second), found {parsed.control_rate}",
+            )
+        for name, least in (("first_bar", parsed.first_bar), ("lowest_bar", parsed.lowest_bar)):
+            if parsed.highest_bar < least:
+                raise BadSetting(
+                    SECTION,
+                    "highest_bar",
+                    f"expected at least {name}, which is {least:g}, found {parsed.highest_bar:g}",
+                )
+        return parsed
+
+    def to_json(self) -> dict[str, JSON]:
+        """All settings, defaults written out."""
+        return dataclasses.asdict(self)
+
+    def take_off(self, params: Mapping[str, Scalar]) -> TakeOff:
+        """The take-off state of a candidate under these settings."""
+        support = self.formulation == "support"
+        default = 1.2 if support else 3.5
+        return takeoff.take_off(
+            params,
+            forward=self.forward_speed,
+            rise=default if self.rise is None else self.rise,
+            time_to_bar=self.time_to_bar,
+            formulation=self.formulation,
+        )
+
+
+def check_parameters(names: Iterable[str]) -> None:
+    """Refuse parameter names that are none of the take-off state's."""
+    refuse_unknown("space", "", names, takeoff.PARAMETERS)

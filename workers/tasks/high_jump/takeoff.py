@@ -1,0 +1,211 @@
+"""How a jump begins: the take-off state x = (alpha, omega_x, omega_z, v_z) made into a state of the athlete.
+
+Conventions are those of the published jumping system (Yin et al. 2021 and its released environment). In the athlete's
+heading frame x points forward, y up, z to the right. The bar's plane is at angle `alpha` (rad): 0 means that the bar is
+parallel to the run-up, to the athlete's left; pi/2 that it lies straight ahead. `v_z` (m/s) is the sideways velocity,
+negative to the left, towards the bar. The spin is (omega_x, 3, omega_z) rad/s: negative omega_x leans the body to the
+left, positive omega_z leans it back. The athlete takes off from the right foot, the one further from the bar.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from workers.contracts import ParameterSpec, Scalar
+from workers.physics import clips, rotations
+from workers.physics.athlete import COORDINATES, JOINTS, SPHERICAL
+from workers.physics.rotations import Array
+from workers.physics.world import World
+
+Formulation = Literal["support", "flight"]
+
+OMEGA_Y = 3.0
+"""rad/s; hardly differs between published strategies."""
+TAKE_OFF_FOOT = "right_ankle"
+_STANCE_LEG = ("right_hip", "right_knee", "right_ankle")
+_CLIP = "run"
+_MID_SUPPORT_FRAME = 1
+_TOE_OFF_FRAME = 4
+_RATE_BOUND = 20.0
+"""rad/s; no joint of the stance leg starts faster than this."""
+
+# The published strategies of the high jump lie at alpha -0.05 to 2.09, omega_x -3 to 1, omega_z -1 to 1, v_z -2.4 to
+# -0.5, at a run-up of 5 m/s. With the slower one here most run-ups below alpha 0.4 pass the bar by. omega_z is wider,
+# as in the published obstacle jumps (-2 to 3.9): in the short flight over a low bar it is what turns the body.
+PARAMETERS: Mapping[str, ParameterSpec] = {
+    "alpha": ParameterSpec("float", 0.4, 2.0, unit="rad"),
+    "omega_x": ParameterSpec("float", -3.0, 1.0, unit="rad/s"),
+    "omega_z": ParameterSpec("float", -4.0, 4.0, unit="rad/s"),
+    "v_z": ParameterSpec("float", -2.5, -0.5, unit="m/s"),
+}
+
+
+def coordinate(joint: str, axis: int = 0) -> int:
+    """Index in a pose of one axis of a joint (hinges have axis 0)."""
+    at = 0
+    for spec in JOINTS:
+        if spec.name == joint:
+            return at + axis
+        at += len(spec.low)
+    raise KeyError(joint)
+
+
+@dataclass(frozen=True, slots=True)
+class TakeOff:
+    """A take-off state and what stands around it.
+
+    Args:
+        alpha: angle of the bar's plane, rad.
+        omega_x, omega_z: spin about the forward and the right axis, rad/s.
+        v_z: sideways velocity, m/s.
+        forward: forward velocity, m/s.
+        rise: upward velocity at the start, m/s.
+        time_to_bar: the bar stands where the athlete gets in so many seconds (between 0.6 and 1.5 m away).
+        formulation: `support` begins in the middle of the last support, `flight` as the foot leaves the ground.
+    """
+
+    alpha: float
+    omega_x: float
+    omega_z: float
+    v_z: float
+    forward: float
+    rise: float
+    time_to_bar: float
+    formulation: Formulation
+
+    @property
+    def approach(self) -> float:
+        """Velocity towards the bar, m/s."""
+        return float(self.forward * np.sin(self.alpha) - self.v_z * np.cos(self.alpha))
+
+    @property
+    def distance(self) -> float:
+        """Distance of the root from the bar's plane, m."""
+        return float(np.clip(self.approach * self.time_to_bar, 0.6, 1.5))
+
+
+@dataclass(frozen=True, slots=True)
+class StartState:
+    """What `World` is set to at the start of an episode: see `Athlete.place`, `push` and `bend`."""
+
+    position: Array
+    orientation: Array
+    velocity: Array
+    angular_velocity: Array
+    pose: Array
+    rates: Array
+
+
+def take_off(
+    params: Mapping[str, Scalar], *, forward: float, rise: float, time_to_bar: float, formulation: Formulation
+) -> TakeOff:
+    """The take-off state of a candidate; parameters that it lacks are at the middle of their range."""
+    values = {
+        name: float(params.get(name, (float(spec.low or 0) + float(spec.high or 0)) / 2))
+        for name, spec in PARAMETERS.items()
+    }
+    return TakeOff(**values, forward=forward, rise=rise, time_to_bar=time_to_bar, formulation=formulation)
+
+
+def start_state(world: World, state: TakeOff) -> StartState:
+    """The athlete at take-off, standing on the ground or just above it. Leaves `world` in that state."""
+    clip = clips.load(_CLIP)
+    support = state.formulation == "support"
+    frame = _MID_SUPPORT_FRAME if support else _TOE_OFF_FRAME
+    pose = clip.pose[frame].copy()
+    rates = np.zeros(COORDINATES)
+    lean = 0.0
+    if support:
+        lean = _plant(pose)
+        rates = clip.rates[frame] * np.hypot(state.forward, state.v_z) / np.linalg.norm(clip.velocity(frame)[[0, 2]])
+    yaw = state.alpha - np.pi / 2
+    heading = rotations.from_rotation_vector(np.array([0, yaw, 0]))
+    forward, up, right = (rotations.rotate(heading, axis) for axis in np.eye(3))
+    orientation = rotations.multiply(heading, rotations.from_rotation_vector(np.array([0, 0, lean])))
+    spin = forward * state.omega_x + up * OMEGA_Y + right * state.omega_z
+    velocity = forward * state.forward + up * state.rise + right * state.v_z
+
+    athlete = world.athlete
+    athlete.place([0, 1, 0], orientation)
+    athlete.bend(pose, rates)
+    athlete.push(np.zeros(3), np.zeros(3))
+    links = athlete.links()
+    low = athlete.bounds()[0][1]
+    position = np.array([-state.distance, 1 - low + (0.0 if support else 0.03), 0.0])
+    if not support:  # the centre of mass gets the velocity, whatever the spin does to the root
+        velocity = velocity - np.cross(spin, athlete.centre_of_mass(links) - links[0, :3])
+    athlete.place(position, orientation)
+    athlete.push(velocity, spin)
+    if support:
+        rates = _rest_the_foot(world, pose, rates)
+    start = StartState(position, orientation, velocity, spin, pose, rates)
+    apply(world, start)
+    return start
+
+
+def apply(world: World, start: StartState) -> None:
+    """Put the world's athlete into a start state."""
+    world.athlete.place(start.position, start.orientation)
+    world.athlete.bend(start.pose, start.rates)
+    world.athlete.push(start.velocity, start.angular_velocity)
+
+
+def _plant(pose: Array) -> float:
+    """Bend the stance leg of `pose` for the take-off, the sole flat on the ground; returns the body's lean, rad."""
+    hip, knee, lean = 0.75, -0.7, -0.1
+    for joint, angle in zip(_STANCE_LEG, (hip, knee, -(hip + knee + lean)), strict=True):
+        if joint in SPHERICAL:
+            at = coordinate(joint)
+            pose[at : at + 3] = (0, 0, angle)
+        else:
+            pose[coordinate(joint)] = angle
+    return lean
+
+
+def push_off_pose() -> Array:
+    """The pose that action 0 pulls to ``[28]``: stance leg driving down and back, the other knee and the arms up.
+
+    A reference for the PD controllers, not a pose to be reached: hip and knee aim beyond their ranges, which makes
+    them push. Without it a random policy hardly ever leaves the ground.
+    """
+    pose: Array = clips.load(_CLIP).pose[_MID_SUPPORT_FRAME].copy()
+    aims = {
+        "right_hip": -1.2, "right_ankle": -0.5, "left_hip": 1.2,
+        "chest": 0.1, "right_shoulder": 0.5, "left_shoulder": 0.5,
+    }  # fmt: skip
+    for joint, angle in aims.items():
+        at = coordinate(joint)
+        pose[at : at + 3] = (0, 0, angle)
+    pose[coordinate("right_knee")] = 1.0
+    pose[coordinate("left_knee")] = -1.2
+    return pose
+
+
+def _rest_the_foot(world: World, pose: Array, rates: Array) -> Array:
+    """Rates ``[28]`` with those of the stance leg such that its foot is at rest while the body moves over it.
+
+    The foot's velocity is linear in the rates, so its columns come from trying each rate alone; least squares, because
+    seven rates meet six conditions, with turning of the foot weighing a fifth of sliding.
+    """
+    athlete = world.athlete
+    stance = [coordinate(joint, axis) for joint in _STANCE_LEG for axis in range(3 if joint in SPHERICAL else 1)]
+    foot = athlete.names.index(TAKE_OFF_FOOT)
+    weight = np.array([1, 1, 1, 0.2, 0.2, 0.2])
+
+    def foot_velocity(values: Array) -> Array:
+        tried = rates.copy()
+        tried[stance] = values
+        athlete.bend(pose, tried)
+        return np.asarray(athlete.links()[foot, 7:13] * weight)
+
+    rest = foot_velocity(np.zeros(len(stance)))
+    columns = np.stack([foot_velocity(row) - rest for row in np.eye(len(stance))], 1)
+    ridge = 0.01 * np.eye(len(stance))
+    values = np.linalg.lstsq(np.vstack([columns, ridge]), np.concatenate([-rest, np.zeros(len(stance))]), rcond=None)[0]
+    resting: Array = rates.copy()
+    resting[stance] = np.clip(values, -_RATE_BOUND, _RATE_BOUND)
+    return resting

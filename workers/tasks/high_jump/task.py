@@ -1,0 +1,250 @@
+"""The high jump as a `Task`: train from a take-off state, then find the highest bar that the policy clears."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from safetensors.numpy import load, save
+
+from workers.audit import Audit, audit
+from workers.contracts import JSON, BadJob, Context, Job, Outcome, TaskInfo
+from workers.learning.policy import Policy
+from workers.learning.ppo import POLICY_ARTIFACT, train
+from workers.learning.problem import Curriculum, Diverged, SuccessCurriculum, Trained
+from workers.learning.rollout import play
+from workers.learning.settings import TrainingSettings
+from workers.physics.rendering import render_frame
+from workers.replay import Recorder, Replay
+from workers.tasks.high_jump import behaviour, takeoff
+from workers.tasks.high_jump.env import HighJumpEnv
+from workers.tasks.high_jump.settings import TRAINING, HighJumpSettings, check_parameters
+
+REPLAY_ARTIFACT = "replay.bin"
+POSE_ARTIFACT = "pose.png"
+_REACH = 0.4
+"""m above the curriculum's level that the policy is tried at: without exploration noise it jumps higher."""
+
+
+@dataclass(frozen=True, slots=True)
+class HighJumpProblem:
+    """What the learner gets.
+
+    Args:
+        settings: of the task.
+        state: the take-off state.
+    """
+
+    settings: HighJumpSettings
+    state: takeoff.TakeOff
+
+    def make_env(self) -> gymnasium.Env[Any, Any]:
+        """A new environment."""
+        return self.env(None)
+
+    def env(self, recorder: Recorder | None) -> HighJumpEnv:
+        """A new environment that tells a recorder."""
+        s = self.settings
+        return HighJumpEnv(self.state, control_rate=s.control_rate, mat_height=s.mat_height, recorder=recorder)
+
+    def curriculum(self) -> Curriculum:
+        """The bar, from the first to the highest."""
+        s = self.settings
+        return SuccessCurriculum(s.first_bar, s.bar_step, s.highest_bar)
+
+    def bars_from(self, level: float) -> list[float]:
+        """Bars to try (m), highest first: from above the curriculum's level down to the lowest, in its steps."""
+        s = self.settings
+        top = min(level + _REACH, s.highest_bar)
+        count = int(np.floor((top - s.lowest_bar) / s.bar_step + 1e-9))
+        return [round(s.lowest_bar + i * s.bar_step, 9) for i in range(count, -1, -1)]
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """A deterministic jump that landed.
+
+    Args:
+        bar: what it cleared, m.
+        replay: the recording.
+        audit: what the audit says of it.
+        reward: what it earned.
+    """
+
+    bar: float
+    replay: Replay
+    audit: Audit
+    reward: float
+
+
+class HighJump:
+    """The task `high_jump`.
+
+    Its value is the highest bar (m) that the deterministic policy clears in a replay that passes the audit.
+    """
+
+    def info(self, settings: Mapping[str, JSON]) -> TaskInfo:
+        """The task under these settings. Raises `BadSetting`."""
+        parsed = HighJumpSettings.parse(settings)
+        return TaskInfo(
+            name="high_jump",
+            summary="A full athlete learns to jump over a bar from a given take-off state",
+            parameters=takeoff.PARAMETERS,
+            features=behaviour.FEATURES[parsed.feature],
+            settings=parsed.to_json(),
+            training=TRAINING.to_json(),
+        )
+
+    def validate(self, settings: Mapping[str, JSON], training: Mapping[str, JSON], names: Sequence[str]) -> None:
+        """Refuse wrong settings, training settings and unknown parameters (`BadSetting`)."""
+        HighJumpSettings.parse(settings)
+        TrainingSettings.parse(training, TRAINING)
+        check_parameters(names)
+
+    def run(self, job: Job, context: Context) -> Outcome:
+        """Train, then look for the highest bar. Artifacts: the policy; of a cleared bar its replay and a picture."""
+        problem = _problem(job)
+        try:
+            trained = train(job, context, problem, TrainingSettings.parse(job.training, TRAINING))
+        except Diverged as error:
+            details = {"iteration": error.iteration, "quantity": error.quantity}
+            return Outcome("diverged", cost=error.cost, message=str(error), details=details)
+        context.log(f"trained to the bar at {trained.level:.2f} m; looking for the highest one it clears believably")
+        best, refused = highest_jump(problem, trained)
+        if best is None:
+            context.save_artifact(POLICY_ARTIFACT, trained.policy.to_bytes())
+            return _infeasible(problem, trained, refused)
+        context.save_artifact(POLICY_ARTIFACT, with_bar(trained.policy.to_bytes(), best.bar))
+        context.save_artifact(REPLAY_ARTIFACT, best.replay.to_bytes())
+        passing = behaviour.over_the_bar(best.replay)
+        if passing is None:  # the rules let nobody land who has not passed the bar
+            raise BadJob(f"jump over {best.bar:g} m: expected its centre of mass to pass the bar's plane, found none")
+        time, orientation = passing
+        context.save_artifact(POSE_ARTIFACT, render_frame(best.replay, time))
+        facing = behaviour.facing(orientation)
+        rotation = tuple(float(v) for v in orientation)
+        return Outcome(
+            "complete",
+            value=best.bar,
+            features=(facing,) if problem.settings.feature == "facing" else rotation,
+            cost=trained.cost,
+            details={
+                "bar": best.bar,
+                "cleared": True,
+                "facing": facing,
+                "rotation": list(rotation),
+                "reward": best.reward,
+                "audit": best.audit.to_json(),
+                **_common(problem, trained),
+            },
+        )
+
+    def simulate(self, job: Job, policy: bytes) -> Replay:
+        """See `simulate`."""
+        return simulate(job, policy)
+
+
+def simulate(job: Job, policy: bytes) -> Replay:
+    """The best jump of a stored policy, simulated again, bit for bit the same.
+
+    Args:
+        job: of the trial that learnt the policy.
+        policy: its artifact `policy.safetensors`.
+
+    Raises `BadJob` where the policy is of another task or never cleared a bar.
+    """
+    problem = _problem(job)
+    bar = bar_of(policy)
+    jump = _jump(problem, Policy.from_bytes(policy), bar)
+    if jump is None:
+        raise BadJob(
+            f"policy: expected one that clears {bar:g} m as trial {job.trial} did, found one that doesn't; "
+            "was it simulated by another version of halma or on another kind of machine?"
+        )
+    return jump.replay
+
+
+def highest_jump(problem: HighJumpProblem, trained: Trained) -> tuple[Jump | None, Jump | None]:
+    """The highest believable jump of the deterministic policy, or None; beside it the highest one the audit refused."""
+    level = problem.settings.first_bar if trained.level is None else trained.level
+    refused: Jump | None = None
+    scout = problem.env(None)
+    try:
+        for bar in problem.bars_from(level):
+            # without a recorder first: recording triples the time, and most bars above the level are missed
+            if not play(scout, trained.policy, seed=0, level=bar).success:
+                continue
+            jump = _jump(problem, trained.policy, bar)
+            if jump is not None and jump.audit.passed:
+                return jump, refused
+            refused = refused or jump
+    finally:
+        scout.close()
+    return None, refused
+
+
+def _jump(problem: HighJumpProblem, policy: Policy, bar: float) -> Jump | None:
+    """One deterministic jump in a new world, recorded and audited; None where it fails."""
+    recorder = Recorder(takeoff.TAKE_OFF_FOOT, {"name": "high_jump", "formulation": problem.settings.formulation})
+    env = problem.env(recorder)
+    try:
+        episode = play(env, policy, seed=0, level=bar)
+    finally:
+        env.close()
+    if not episode.success:
+        return None
+    replay = recorder.replay()
+    return Jump(bar, replay, audit(replay), episode.total)
+
+
+def _problem(job: Job) -> HighJumpProblem:
+    settings = HighJumpSettings.parse(job.task_settings)
+    check_parameters(job.params)
+    return HighJumpProblem(settings, settings.take_off(job.params))
+
+
+def _common(problem: HighJumpProblem, trained: Trained) -> dict[str, JSON]:
+    """Details of every outcome of a finished training."""
+    return {
+        "level": trained.level,
+        "iterations": trained.iterations,
+        "approach": problem.state.approach,
+        "distance": problem.state.distance,
+        "policy_sha256": trained.policy.sha256(),
+    }
+
+
+def _infeasible(problem: HighJumpProblem, trained: Trained, refused: Jump | None) -> Outcome:
+    """No bar was cleared, or none believably."""
+    details = {"bar": None, "cleared": False, "facing": None, "rotation": None, **_common(problem, trained)}
+    message = f"the policy clears no bar of {problem.settings.lowest_bar:g} m or more"
+    if refused is not None:
+        details |= {"audit": refused.audit.to_json()}
+        message = f"the audit refused every jump; the highest, over {refused.bar:g} m, for: " + ", ".join(
+            refused.audit.failures
+        )
+    return Outcome("infeasible", cost=trained.cost, message=message, details=details)
+
+
+_BAR_TENSOR = "high_jump.bar"
+
+
+def with_bar(policy: bytes, bar: float) -> bytes:
+    """A stored policy that knows the bar (m) of its best jump; the learner reads it like any other."""
+    header = json.loads(policy[8 : 8 + int.from_bytes(policy[:8], "little")])  # the format's own layout
+    return save({**load(policy), _BAR_TENSOR: np.array(bar)}, header["__metadata__"])
+
+
+def bar_of(policy: bytes) -> float:
+    """The bar that `with_bar` noted. Raises `BadJob` where there is none."""
+    Policy.from_bytes(policy)  # refuses what is no policy at all
+    tensors = load(policy)
+    if _BAR_TENSOR not in tensors:
+        raise BadJob(
+            "policy: expected one of a trial that cleared a bar, found one without; it has no jump to simulate"
+        )
+    return float(tensors[_BAR_TENSOR])
