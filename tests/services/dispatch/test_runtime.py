@@ -51,9 +51,7 @@ def test_a_job_that_ends_says_its_outcome_last(artifacts, module):
 
 
 def test_a_task_that_raises_is_told_with_its_users_traceback_alone(artifacts, module):
-    text = (
-        "import gymnasium\nclass Broken(gymnasium.Env):\n    def __init__(self, x):\n        raise OSError('no robot')\n"
-    )
+    text = "import gymnasium\nclass Broken(gymnasium.Env):\n    def __init__(self, x):\n        raise OSError('no robot')\n"
     last = outcome_of(artifacts, assignment(f"{module('broken_of_runtime', text)}:Broken"))[-1]
     said = last.message if isinstance(last, Crashed) else json.loads(last.outcome)["message"]
     assert "no robot" in said
