@@ -14,10 +14,10 @@ import matplotlib as mpl
 import numpy as np
 
 mpl.use("Agg")
-from matplotlib import pyplot as plt  # noqa: E402  # the backend is chosen first: there may be no display
+from matplotlib import pyplot as plt  # the backend is chosen first: there may be no display
 
-from benchmarks.search.diversity import RESULTS  # noqa: E402
-from benchmarks.search.quality import GRID  # noqa: E402
+from benchmarks.search.diversity import RESULTS
+from benchmarks.search.quality import GRID
 
 
 def complete(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
