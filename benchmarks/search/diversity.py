@@ -36,7 +36,12 @@ CONFIGS: dict[str, tuple[str, dict[str, Any], int]] = {
 }
 """Name in tables -> strategy, settings, batch size."""
 
-ABLATIONS: dict[str, tuple[str, dict[str, Any], int]] = {}
+ABLATIONS: dict[str, tuple[str, dict[str, Any], int]] = {
+    "bds - feasibility": ("bds", {"feasibility": False}, 1),
+    "bds - interior": ("bds", {"interior": False}, 1),
+    "bds - spacing": ("bds", {"radius": 0.0}, 1),
+    "bds - Sobol start": ("bds", {"start": 0}, 1),
+}
 """The default with one repair taken away."""
 
 

@@ -44,7 +44,12 @@ CONFIGS: dict[str, tuple[str, dict[str, Any], int, bool]] = {
 }
 """Name in tables -> strategy, settings, batch size, whether policies transfer."""
 
-ABLATIONS: dict[str, tuple[str, dict[str, Any], int, bool]] = {}
+ABLATIONS: dict[str, tuple[str, dict[str, Any], int, bool]] = {
+    "cmfbo - weighing": ("cmfbo", {"gate": False}, 1, False),
+    "cmfbo - easy phase": ("cmfbo", {"easy": 0.0}, 1, False),
+    "cmfbo - share at z = 1": ("cmfbo", {"share": 0.0}, 1, False),
+    "cmfbo, z = 1 alone": ("cmfbo", {"easy": 0.0, "start_z": 1.0, "share": 1.0}, 1, False),
+}
 GRID = (5, 10, 15, 20, 25, 30)
 BUDGET = 30.0
 SEEDED = {"sobol", "cmfbo", "gp_ucb", "boca", "top_k", "cmaes"}
