@@ -21,6 +21,7 @@ import numpy as np
 
 from benchmarks.search.maps import INTERIOR, MAPS, REPORT, TUNE
 from search import Observation, make_strategy
+from search.registry import strategy_class
 
 RESULTS = Path(__file__).parent.parent / "results"
 
@@ -52,7 +53,7 @@ def run_one(
     m = MAPS[problem]
     space = m.space
     settings = dict(settings)
-    if strategy == "sobol" or (strategy == "bds" and settings.get("variant") != "published"):
+    if "seed" in {f.name for f in strategy_class(strategy).info().settings}:
         settings["seed"] = seed
     made = make_strategy(strategy, space, features=m.features, settings=settings)
     key = zlib.crc32(problem.encode())

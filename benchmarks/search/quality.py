@@ -52,7 +52,6 @@ ABLATIONS: dict[str, tuple[str, dict[str, Any], int, bool]] = {
 }
 GRID = (5, 10, 15, 20, 25, 30)
 BUDGET = 30.0
-SEEDED = {"sobol", "cmfbo", "gp_ucb", "boca", "top_k", "cmaes"}
 
 
 def run_one(
