@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import norm
@@ -104,6 +104,7 @@ def test_a_region_that_fails_is_left_alone():
     assert late.count("failed") < 0.3 * len(late)
 
 
+@settings(max_examples=20)
 @given(st.lists(st.integers(-3, 3), min_size=8, max_size=8))
 def test_turning_angles_by_full_turns_changes_no_proposal(turns):
     space = Space({"a": Angle(), "b": Float(0, 1)})
