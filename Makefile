@@ -1,6 +1,6 @@
 # Everything a person types here explains itself: make help
 .DEFAULT_GOAL := help
-.PHONY: help setup run test check format bench clean
+.PHONY: help setup run test check format bench bench-search clean
 
 PYTHON ?= python3.11
 BIN := .venv/bin
@@ -36,6 +36,11 @@ format: $(STAMP)  ## put the code in the house's format
 
 bench: $(STAMP)  ## the quick benchmarks, each figure beside its baseline
 	$(BIN)/python benchmarks/storage.py
+
+bench-search: $(STAMP)  ## the searches against their controls, quick version (minutes)
+	$(BIN)/python -m benchmarks.search.diversity --quick
+	$(BIN)/python -m benchmarks.search.quality --quick
+	$(BIN)/python -m benchmarks.search.speed --sizes 100,1000 --repeats 5
 
 clean:  ## forget the environment and caches (never the trial database)
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .import_linter_cache build *.egg-info

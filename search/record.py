@@ -99,6 +99,20 @@ class Record:
             self.params[:n],
         )
 
+    def only(self, rows: NDArray[np.bool_]) -> Record:
+        """The record of some of the observations, pending trials kept."""
+        return Record(
+            self.X[rows],
+            self.value[rows],
+            self.features[rows],
+            self.complete[rows],
+            self.z[rows],
+            self.cost[rows],
+            self.pending,
+            self.pending_z,
+            tuple(p for p, kept in zip(self.params, rows, strict=True) if kept),
+        )
+
     def digest(self, n: int) -> bytes:
         """Digest of all that the first `n` observations say; fitted models are kept under it."""
         digest = hashlib.blake2b(digest_size=16)

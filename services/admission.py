@@ -48,20 +48,24 @@ def find(store: Store, name: str) -> StudyRow | None:
         return None
 
 
-def refuse_changes(row: StudyRow, spec: ResolvedSpec, origin: str) -> None:
+def refuse_changes(row: StudyRow, spec: StudySpec, origin: str) -> None:
     """Refuse a study file that no longer asks for what its study was created with.
 
-    A budget that the study has meanwhile been extended to is no change.
+    What the file leaves to the task is no change: a newer task may have another space, the study keeps its own.
+    Neither is a budget that the study has meanwhile been extended to.
 
     Args:
         row: the study.
-        spec: what its file asks for now.
+        spec: what its file asks for now, not resolved.
         origin: where the file gives the name, `file:line`.
 
     Raises:
         StudyChanged: what changed, and what can be done.
     """
-    old, new = flat(StudySpec.from_json(row.spec).to_json()), flat(spec.to_json())
+    stored, asked = StudySpec.from_json(row.spec).to_json(), spec.to_json()
+    if asked["space"] is None:
+        asked["space"] = stored["space"]
+    old, new = (flat({name: fields[name] for name in StudySpec.model_fields}) for fields in (stored, asked))
     if row.target_trials == new.get("search.trials"):
         old["search.trials"] = new["search.trials"]
     if row.target_cost == new.get("search.cost"):

@@ -100,6 +100,7 @@ class Coordinator:
             history=history,
             open={trial.number: trial for trial in opened},
             next_number=sum(row.counts.values()),
+            taken_at=len(history),
         )
         self._held.drives[row.id] = drive
         try:

@@ -14,7 +14,7 @@ from services.proposing import ProposalRequest, candidate_json, observation_json
 from services.spec import StudySpec
 from services.states import StudyState, TrialState
 from services.store.port import NewArtifact, StudyRow, TrialRow
-from workers.contracts import Job
+from services.translate import job_of
 
 
 @dataclass(slots=True)
@@ -69,6 +69,8 @@ class Drive:
     history: list[TrialRow]
     open: dict[int, TrialRow]
     next_number: int
+    taken_at: int = 0
+    """Length of the history when this driver took the study."""
     live: dict[int, Live] = field(default_factory=dict)
     told: int = 0
     """How much of the history the strategist has been told."""
@@ -138,23 +140,12 @@ class Drive:
 
     def assignment(self, trial: TrialRow, live: Live, parent_artifacts: tuple[NewArtifact, ...]) -> Assignment:
         """What the worker of an attempt gets."""
-        job = Job(
-            study=self.spec.name,
-            trial=trial.number,
-            task=self.spec.task.name,
-            task_settings=self.spec.task.settings,
-            training=self.spec.training,
-            params=trial.params,
-            z=trial.z,
-            seed=trial.seed,
-            parent=trial.warm_start,
-        )
         return Assignment(
             attempt=live.attempt,
             token=live.token,
             study_key=self.key,
             trial=trial.number,
-            job=job.to_json(),
+            job=job_of(self.spec, trial).to_json(),
             pool=self.row.pool,
             cpus=self.spec.resources.cpus,
             parent_artifacts=parent_artifacts,
@@ -167,9 +158,12 @@ class Drive:
         self.history.append(trial)
 
     def hopeless(self) -> str | None:
-        """The reason to stop, where the last so many trials all failed by the task's own error; None otherwise."""
+        """The reason to stop, where the last so many trials of this drive all failed by the task's own error.
+
+        Failures before it don't count: whoever resumes a failed study has mended something.
+        """
         limit = self.spec.stop_after_failures
-        last = self.history[-limit:]
+        last = self.history[self.taken_at :][-limit:]
         if len(last) < limit or any(trial.state is not TrialState.FAILED for trial in last):
             return None
         return f"the last {limit} trials all failed (stop_after_failures: {limit}); the newest: {last[-1].message}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -100,12 +102,25 @@ def coordinator_serving(
             lambda: start_coordinator(database, artifact_root, directory, pools),
             lambda actor: actor.serve.remote(),
         )
-        thread = threading.Thread(target=supervisor.run, name="coordinator", daemon=True)
+        failures: list[Exception] = []
+
+        def run() -> None:
+            try:
+                supervisor.run()
+            except Exception as error:  # noqa: BLE001 - raised again in the main thread, below
+                failures.append(error)
+                # Pages over a record that nobody drives would look well and do nothing: stop the whole service.
+                os.kill(os.getpid(), signal.SIGTERM)
+
+        thread = threading.Thread(target=run, name="coordinator", daemon=True)
         thread.start()
         try:
             yield
         finally:
-            supervisor.leave(StudyState.QUEUED, "the service stopped")
+            if not failures:
+                supervisor.leave(StudyState.QUEUED, "the service stopped")
             thread.join()
+        if failures:
+            raise HalmaError(f"The coordinator ended, and the service with it: {failures[0]}") from failures[0]
     finally:
         stop_ray()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import threading
 from collections.abc import Mapping
 from concurrent.futures import Future
@@ -163,10 +164,21 @@ def start_ray(pools: Mapping[str, int], address: str | None = None) -> None:
     """Start a local Ray with room for these pools, or join the cluster at `address`.
 
     Ray's own dashboard and usage reports stay off; its processes end with this one.
+
+    Raises:
+        HalmaError: it did not start.
     """
+    handler = signal.getsignal(signal.SIGTERM)
     if address is not None:
         ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
-        return
+    else:
+        _start_local(pools)
+    # Ray takes SIGTERM for itself and exits with its number; whoever starts Ray here has plans of its own for it.
+    if handler is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, handler)
+
+
+def _start_local(pools: Mapping[str, int]) -> None:
     resources = {pool_resource(pool): float(size) for pool, size in pools.items() if pool != "default"}
     for tries_left in reversed(range(STARTS)):
         try:

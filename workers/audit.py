@@ -124,7 +124,7 @@ def audit(replay: Replay) -> Audit:
             ),
             Check("penetration", _largest(jump["penetration"]), PENETRATION, "m"),
             Check("self_intersection", _largest(jump["overlap"]), OVERLAP, "m"),
-            Check("foot_push", _largest(jump["ground_force"]) / weight, PUSH, "body weights"),
+            Check("foot_push", float(_largest(jump["ground_force"]) / weight), PUSH, "body weights"),
             Check("wall_touched", _largest(touching[:, 1].astype(np.float64)), 0.0, "bodies"),
             Check("missed_landing", float(len(on_mat) == 0), 0.0, "jumps"),
         )

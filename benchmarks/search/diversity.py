@@ -21,6 +21,7 @@ import numpy as np
 
 from benchmarks.search.maps import INTERIOR, MAPS, REPORT, TUNE
 from search import Observation, make_strategy
+from search.registry import strategy_class
 
 RESULTS = Path(__file__).parent.parent / "results"
 
@@ -36,7 +37,12 @@ CONFIGS: dict[str, tuple[str, dict[str, Any], int]] = {
 }
 """Name in tables -> strategy, settings, batch size."""
 
-ABLATIONS: dict[str, tuple[str, dict[str, Any], int]] = {}
+ABLATIONS: dict[str, tuple[str, dict[str, Any], int]] = {
+    "bds - feasibility": ("bds", {"feasibility": False}, 1),
+    "bds - interior": ("bds", {"interior": False}, 1),
+    "bds - spacing": ("bds", {"radius": 0.0}, 1),
+    "bds - Sobol start": ("bds", {"start": 0}, 1),
+}
 """The default with one repair taken away."""
 
 
@@ -47,7 +53,7 @@ def run_one(
     m = MAPS[problem]
     space = m.space
     settings = dict(settings)
-    if strategy == "sobol" or (strategy == "bds" and settings.get("variant") != "published"):
+    if "seed" in {f.name for f in strategy_class(strategy).info().settings}:
         settings["seed"] = seed
     made = make_strategy(strategy, space, features=m.features, settings=settings)
     key = zlib.crc32(problem.encode())
@@ -96,7 +102,8 @@ def run_all(
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     wanted = {(c, p, s) for c in configs for p in problems for s in range(seeds)}
     have = {(r["config"], r["problem"], r["seed"]): r for r in done if r["evaluations"] >= evaluations}
-    jobs = [(c, *configs[c], p, s, evaluations) for (c, p, s) in sorted(wanted - set(have))]
+    todo = sorted(wanted - set(have), key=lambda k: (k[2], k[1], k[0]))  # seed by seed: what is done is balanced
+    jobs = [(c, *configs[c], p, s, evaluations) for (c, p, s) in todo]
     with path.open("a") as out, ProcessPoolExecutor(processes) as pool:
         for r in pool.map(_job, jobs, chunksize=2):
             have[r["config"], r["problem"], r["seed"]] = r

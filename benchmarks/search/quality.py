@@ -44,10 +44,14 @@ CONFIGS: dict[str, tuple[str, dict[str, Any], int, bool]] = {
 }
 """Name in tables -> strategy, settings, batch size, whether policies transfer."""
 
-ABLATIONS: dict[str, tuple[str, dict[str, Any], int, bool]] = {}
+ABLATIONS: dict[str, tuple[str, dict[str, Any], int, bool]] = {
+    "cmfbo - weighing": ("cmfbo", {"gate": False}, 1, False),
+    "cmfbo - easy phase": ("cmfbo", {"easy": 0.0}, 1, False),
+    "cmfbo - share at z = 1": ("cmfbo", {"share": 0.0}, 1, False),
+    "cmfbo, z = 1 alone": ("cmfbo", {"easy": 0.0, "start_z": 1.0, "share": 1.0}, 1, False),
+}
 GRID = (5, 10, 15, 20, 25, 30)
 BUDGET = 30.0
-SEEDED = {"sobol", "cmfbo", "gp_ucb", "boca", "top_k", "cmaes"}
 
 
 def run_one(
@@ -116,7 +120,8 @@ def run_all(
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     wanted = {(c, p, s) for c in configs for p in problems for s in range(seeds)}
     have = {(r["config"], r["problem"], r["seed"]): r for r in done}
-    jobs = [(c, *configs[c], p, s) for (c, p, s) in sorted(wanted - set(have))]
+    todo = sorted(wanted - set(have), key=lambda k: (k[2], k[1], k[0]))  # seed by seed: what is done is balanced
+    jobs = [(c, *configs[c], p, s) for (c, p, s) in todo]
     with path.open("a") as out, ProcessPoolExecutor(processes) as pool:
         for r in pool.map(_job, jobs, chunksize=2):
             have[r["config"], r["problem"], r["seed"]] = r

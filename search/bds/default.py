@@ -31,7 +31,7 @@ from search.record import Record
 from search.space import Array, Space
 from search.surrogate.embedding import Embedding
 from search.surrogate.fit import Fit, Prior, fit_map
-from search.surrogate.gp import GaussianProcess, IllConditioned
+from search.surrogate.gp import GaussianProcess, IllConditioned, scaled_distance
 from search.surrogate.milestones import milestone
 from search.surrogate.subset import farthest_first
 
@@ -207,7 +207,7 @@ def _next(
     interior = bool(settings.interior) and turn % 2 == 0
     straight = ~(space.is_periodic() | space.is_categorical())
     pool = _pool(space, rng, interior)
-    taken_e = space.encode(taken)
+    taken_e, plain = space.encode(taken), np.ones(space.e)
     radius = settings.radius * math.sqrt(space.d)
     cap = settings.cap if settings.cap is not None else math.inf
 
@@ -215,11 +215,7 @@ def _next(
         E = space.encode(U)
         novelty = model.expected_novelty(E, normals, cap, model.archive)
         feasible = model.probability_feasible(E)
-        gap = (
-            np.sqrt(np.maximum(np.square(E[:, None, :] - taken_e[None]).sum(2).min(1), 0))
-            if len(taken)
-            else np.ones(len(E))
-        )
+        gap = scaled_distance(E, taken_e, plain).min(1) if len(taken) else np.ones(len(E))
         penalty = np.clip(gap / radius, 0, 1) if radius > 0 else 1.0
         return novelty * feasible * penalty, novelty, feasible
 

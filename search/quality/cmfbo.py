@@ -10,6 +10,8 @@ how good they are. What differs from the published form (`search.quality.cmfbo_p
   z = 1 wins from the start.
 - *Values* are modelled after a linear trend in z is taken off; hyperparameters have priors, the difficulty's length
   scale the strongest.
+- *Misleading* easy levels are noticed: where the values at z = 1 are predicted better without them (leave one out),
+  they are left out and no longer asked for.
 - *Costs* are learnt from the observations. At least a share of the budget goes to z = 1, its end entirely.
 - *The answer* is the best observation at z = 1, never an easier one (`recommend`).
 - *Warm start* from the evaluation with the highest kernel correlation, if it is high enough to help.
@@ -54,6 +56,7 @@ class CMFBOSettings:
     start: int | None = setting(None, "evaluations before the surrogate decides; None: d + 1", low=1)
     start_z: float = setting(0.2, "their difficulty; every fourth is the real task", low=0, high=1)
     easy: float = setting(0.2, "share of the budget to learn the easy task first", low=0, high=1)
+    gate: bool = setting(True, "leave easy levels out in the measure in which z = 1 is predicted better without them")
     share: float = setting(0.7, "least share of the cost after that which goes to z = 1", low=0, high=1)
     warm_start: bool = setting(True, "start from the policy of the most correlated evaluation")
     seed: int = setting(0, "which scrambling of the Sobol start", low=0)
@@ -72,7 +75,7 @@ class CMFBO(Strategy):
         self, space: Space, features: Features | None = None, settings: Mapping[str, Any] | None = None
     ) -> None:
         super().__init__(space, features, settings)
-        self._fitted: tuple[bytes, Fit] | None = None
+        self._fitted: dict[str, tuple[bytes, Fit]] = {}
 
     def propose_from(self, record: Record, count: int, rng: np.random.Generator) -> list[Candidate]:
         """`count` candidates, each pending for the next; fewer where the budget is used up."""
@@ -94,14 +97,33 @@ class CMFBO(Strategy):
         values = [-math.inf if o.value is None or o.status != "complete" else o.value for o in history]
         return int(np.argmax(values)) if values and max(values) > -math.inf else None
 
-    def _fit(self, record: Record) -> Fit:
+    def _fit(self, record: Record, which: str) -> Fit:
         """Hyperparameters, kept for as long as the part of the history they were fitted to is the same."""
         m = milestone(record.n)
         key = record.digest(m)
-        if self._fitted is None or self._fitted[0] != key:
+        kept = self._fitted.get(which)
+        if kept is None or kept[0] != key:
             length = 0.5 * math.sqrt(max(1.0, self.space.d / 2))
-            self._fitted = (key, fit_values(self.space, record.first(m), length, FIDELITY_LENGTH))
-        return self._fitted[1]
+            kept = self._fitted[which] = (key, fit_values(self.space, record.first(m), length, FIDELITY_LENGTH))
+        return kept[1]
+
+    def _model(self, record: Record, rng: np.random.Generator) -> tuple[ValueModel, bool]:
+        """The surrogate, and whether easy levels are in it.
+
+        Two models stand against each other: one of all difficulties, one of z = 1 alone. Each is chosen with its
+        probability given the observations at z = 1, each of which it predicts from all others it knows (leave one
+        out). So misleading easy levels are dropped in the measure in which they are seen to mislead.
+        """
+        joint = ValueModel(self.space, record, self._fit(record, "joint"))
+        top = record.z == 1
+        if not self.settings.gate or top.sum() < GATE or top.all():
+            return joint, True
+        above = record.only(top)
+        alone = ValueModel(self.space, above, self._fit(above, "alone"))
+        odds = PRIOR_ODDS + joint.log_density_at_top() - alone.log_density_at_top()
+        if rng.random() < 1 / (1 + math.exp(float(np.clip(-odds, -50, 50)))):
+            return joint, True
+        return alone, False
 
     def _default(self, record: Record, count: int, rng: np.random.Generator) -> list[Candidate]:
         s = self.settings
@@ -110,8 +132,8 @@ class CMFBO(Strategy):
         at_top = self._paid_at_top(record, costs)
         budget = math.inf if s.cost_budget is None else s.cost_budget
         start = self.space.d + 1 if s.start is None else s.start
-        free = self._easy_phase(record, costs)
-        model = ValueModel(self.space, record, self._fit(record))
+        model, informative = self._model(record, rng)
+        free = self._easy_phase(costs) if informative else 0.0
         model.believe(record.pending, record.pending_z)
         found: list[Candidate] = []
         asked = record.asked
@@ -122,7 +144,7 @@ class CMFBO(Strategy):
             ):
                 break
             turn = len(record.asked) + len(found)
-            top_only = left < RESERVE * costs.at(1.0) or at_top < s.share * (paid - free)
+            top_only = not informative or left < RESERVE * costs.at(1.0) or at_top < s.share * (paid - free)
             info: dict[str, Any]
             if turn < start:
                 u = next_sobol(self.space, asked, 1, s.seed)[0]
@@ -146,20 +168,10 @@ class CMFBO(Strategy):
             model.believe(u[None, :], np.array([z]))
         return found
 
-    def _easy_phase(self, record: Record, costs: CostModel) -> float:
-        """The cost up to which the search learns the easy task first; it ends early where that doesn't help.
-
-        It helps as long as what looked best there is better at z = 1 than the points of the Sobol start.
-        """
+    def _easy_phase(self, costs: CostModel) -> float:
+        """The cost up to which the search learns the easy task first."""
         s = self.settings
-        whole: float = s.easy * (s.cost_budget if s.cost_budget is not None else 2.0 * self.space.d * costs.at(1.0))
-        top = np.flatnonzero((record.z == 1) & record.complete)
-        design, chosen = top[top < self.space.d + 1], top[top >= self.space.d + 1]
-        if len(chosen) >= 2 and len(design):
-            helps = record.value[chosen].max() > np.median(record.value[design])
-            if not helps:
-                return 0.0
-        return whole
+        return float(s.easy * (s.cost_budget if s.cost_budget is not None else 2.0 * self.space.d * costs.at(1.0)))
 
     @staticmethod
     def _paid_at_top(record: Record, costs: CostModel) -> float:
@@ -201,6 +213,10 @@ class CMFBO(Strategy):
 
 FIDELITY_LENGTH = 1.0
 """Prior median of the difficulty's length scale: neighbouring levels resemble each other."""
+GATE = 3
+"""From so many observations at z = 1 on it is asked whether easy levels help."""
+PRIOR_ODDS = 0.5
+"""Log odds, beforehand, that easy levels help."""
 RESERVE = 3.0
 """The last so many full evaluations of a budget are spent at z = 1."""
 PARENT = 0.3

@@ -82,6 +82,14 @@ class ValueModel:
         self.gp = GaussianProcess(XZ[rows], y, fitted.w, np.array([fitted.amplitude]), fitted.noise, np.zeros(1))
         self.noise = fitted.noise
 
+    def log_density_at_top(self) -> float:
+        """Log density of the values at z = 1, each predicted from all other observations, in the values' own unit."""
+        top = self.gp.X[:, -1] == 1
+        mean, variance = self.gp.leave_one_out()
+        sigma = self.gp.amplitude[0] * np.sqrt(variance[top])
+        miss = (self.gp.Y[top, 0] - mean[top, 0]) / sigma
+        return float(-0.5 * miss @ miss - np.log(sigma * self.scale.spread).sum())
+
     def coordinates(self, U: Array, z: Array | float) -> Array:
         """``m x d`` unit coordinates and difficulties -> ``m x (e + 1)`` model coordinates."""
         return np.concatenate(

@@ -97,6 +97,14 @@ class GaussianProcess:
         V = solve_triangular(self.L, k.T, lower=True, check_finite=False)
         return k @ self.alpha + self.mean, np.maximum(1 - (V * V).sum(0), 1e-12)
 
+    def leave_one_out(self) -> tuple[Array, Array]:
+        """Each datum predicted from all the others: mean ``n x k`` and variance, noise included, relative, ``n``.
+
+        Rasmussen and Williams 2006, equations 5.10 to 5.12.
+        """
+        precision = np.diag(self._solve(np.eye(len(self.X))))
+        return self.Y - self.alpha / precision[:, None], 1 / precision
+
     def covariance(self, S: Array) -> Array:
         """Latent posterior covariance ``m x m`` relative to the amplitude's square."""
         prior = self.correlation_between(S, S)

@@ -9,8 +9,8 @@ import typer
 from rich.text import Text
 
 from search import strategies as all_strategies
+from services.cli.layout import plain_table
 from services.cli.session import AsJson, Db, console, print_json, say
-from services.cli.tables import plain_table
 from services.cli.words import value_of
 from services.doctor import Check, examine
 from services.errors import BadInput, HalmaError

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.text import Text
-
+from services.cli.layout import Column, fitted
 from services.cli.session import Session, console, say
-from services.cli.tables import parameter_cells, parameter_heads, plain_table
+from services.cli.tables import parameter_columns
 from services.cli.words import count, duration, first_line, several, state_words, value_of
 from services.contact_sheet import POSE, Tile, draw
 from services.errors import ArtifactDamaged
@@ -64,35 +63,25 @@ def _headline(row: StudyRow, found: Sequence[Finding]) -> str:
 
 def _table(row: StudyRow, found: Sequence[Finding]) -> None:
     behaviour = behaviour_of(row)
-    names = list(found[0].trial.params)
-    details = shown_details(found, behaviour)
-    table = plain_table()
-    table.add_column("", justify="right", style="dim")
+    trials = [finding.trial for finding in found]
+    columns = [Column("", [str(place) for place in range(1, len(found) + 1)])]
     if behaviour is not None:
-        table.add_column(feature_head(behaviour), justify="right", no_wrap=True)
-    heads = [
-        *(name.replace("_", " ") for name in details),
-        value_name(found),
-        *parameter_heads(names, units_of(row)),
-        "trial",
+        columns.append(Column(feature_head(behaviour), [feature_words(trial.features, behaviour) for trial in trials]))
+    columns.append(Column(value_name(found), [value_of(trial.value) for trial in trials]))
+    columns += [
+        Column(name.replace("_", " "), [detail_words(trial.details[name]) for trial in trials], rank=2)
+        for name in shown_details(found, behaviour)
     ]
-    for head in heads:
-        table.add_column(head, justify="right")
+    columns += parameter_columns(trials, units_of(row), rank=1)
+    columns.append(Column("trial", [str(trial.number) for trial in trials]))
     if behaviour is not None:
-        table.add_column("also found by")
-    for place, finding in enumerate(found, start=1):
-        trial = finding.trial
-        others = [number for number in finding.members if number != trial.number]
-        table.add_row(
-            str(place),
-            *([feature_words(trial.features, behaviour)] if behaviour else []),
-            *(detail_words(trial.details[name]) for name in details),
-            value_of(trial.value),
-            *parameter_cells(names, trial.params),
-            str(trial.number),
-            *([Text(", ".join(map(str, others)))] if behaviour else []),
-        )
-    console().print(table)
+        columns.append(Column("also found by", [_others(finding) for finding in found], rank=3, sentences=True))
+    screen = console()
+    screen.print(fitted(columns, screen.width))
+
+
+def _others(finding: Finding) -> str:
+    return ", ".join(str(number) for number in finding.members if number != finding.trial.number)
 
 
 def _picture(opened: Session, row: StudyRow, found: Sequence[Finding]) -> None:

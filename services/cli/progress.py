@@ -129,17 +129,24 @@ class Observer:
 
 def progress_line(snapshot: Snapshot) -> str:
     """One line: trials, best, distinct strategies, speed, time left."""
+    return ", ".join([_done(snapshot), *_found(snapshot), *_left(snapshot)])
+
+
+def _done(snapshot: Snapshot) -> str:
+    target = snapshot.row.target_trials
+    return f"{count(snapshot.done)}{'' if target is None else f' of {count(target)}'} trials"
+
+
+def _found(snapshot: Snapshot) -> list[str]:
     row = snapshot.row
-    target = "" if row.target_trials is None else f" of {count(row.target_trials)}"
-    parts = [f"{count(snapshot.done)}{target} trials"]
-    if row.best_value is not None:
-        parts.append(f"best {number(row.best_value)}")
+    parts = [] if row.best_value is None else [f"best {number(row.best_value)}"]
     if snapshot.distinct is not None:
         parts.append(several(snapshot.distinct, "distinct strategy"))
-    parts.append(f"{count(row.samples)} samples" + (f" ({count(snapshot.rate)}/s)" if snapshot.rate else ""))
-    if snapshot.left:
-        parts.append(f"about {duration(snapshot.left)} left")
-    return ", ".join(parts)
+    return [*parts, f"{count(row.samples)} samples" + (f" ({count(snapshot.rate)}/s)" if snapshot.rate else "")]
+
+
+def _left(snapshot: Snapshot) -> list[str]:
+    return [f"about {duration(snapshot.left)} left"] if snapshot.left else []
 
 
 def running_line(trial: TrialRow, metrics: Mapping[str, Any]) -> str:
@@ -153,12 +160,13 @@ def running_line(trial: TrialRow, metrics: Mapping[str, Any]) -> str:
 
 def picture(snapshot: Snapshot) -> RenderableType:
     """What a terminal shows: a bar, the line, and the running trials."""
-    lines = [Text(progress_line(snapshot))]
     target = snapshot.row.target_trials
+    bar = Text()
     if target:
         filled = round(BAR * min(1.0, snapshot.done / target))
-        bar = Text("━" * filled, style="green") + Text("━" * (BAR - filled), style="dim")
-        lines = [bar + Text("  ") + lines[0]]
+        bar = Text("━" * filled, style="green") + Text("━" * (BAR - filled), style="dim") + Text("  ")
+    # Two lines, because terminals of eighty columns are still the usual ones.
+    lines = [bar + Text(", ".join([_done(snapshot), *_left(snapshot)])), Text(", ".join(_found(snapshot)))]
     lines += [Text(f"  {running_line(trial, metrics)}", style="dim") for trial, metrics in snapshot.running]
     return Group(*lines)
 

@@ -48,7 +48,7 @@ def run(
         if row is None:
             admit(opened.store, spec)
         else:
-            refuse_changes(row, spec, read.source.origin(("name",)))
+            refuse_changes(row, read.spec or spec, read.source.origin(("name",)))
             if row.state is StudyState.COMPLETE:
                 report(opened, row)
                 return

@@ -42,7 +42,8 @@ def ls(db: Db = None, as_json: AsJson = False) -> None:
     if as_json:
         print_json([study_json(row) for row in rows])
     elif rows:
-        console().print(studies_table(rows))
+        screen = console()
+        screen.print(studies_table(rows, screen.width))
     else:
         say("No studies yet. Start one: halma run studies/quickstart.yaml")
 
@@ -103,8 +104,8 @@ def trials(
     if not rows:
         say(f"{name} has no trials yet." if not state else f"{name} has no trial that is {' or '.join(state)}.")
         return
-    with_z = any(trial.z is not None for trial in rows)
-    console().print(trials_table(rows, behaviour_of(row), units_of(row), with_z=with_z))
+    screen = console()
+    screen.print(trials_table(rows, behaviour_of(row), units_of(row), screen.width))
 
 
 def watch(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rich import box
+from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from services.cli.layout import Column, fitted
 from services.cli.words import count, duration, first_line, value_of
 from services.spec import Behaviour
 from services.store.port import StudyRow, TrialRow
@@ -28,11 +29,6 @@ MOST_COLUMNS = 8
 """Parameters that get a column each; a space with more is shown in one column."""
 
 
-def plain_table(*, title: str | None = None) -> Table:
-    """A table in the house's style: no frame, one line under the head."""
-    return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
-
-
 def state_text(state: str) -> Text:
     """A state in its colour."""
     return Text(state, style=STATE_STYLES.get(state, ""))
@@ -45,80 +41,75 @@ def done_of(row: StudyRow) -> str:
     return count(done) if row.target_trials is None else f"{count(done)} of {count(row.target_trials)}"
 
 
-def studies_table(rows: Iterable[StudyRow]) -> Table:
+def studies_table(rows: Sequence[StudyRow], width: int) -> RenderableType:
     """`halma ls`."""
-    table = plain_table()
-    for head in ("study", "state", "task", "strategy"):
-        table.add_column(head, no_wrap=True)
-    for head in ("trials", "best", "samples", "training"):
-        table.add_column(head, justify="right", no_wrap=True)
-    table.add_column("created", no_wrap=True)
-    table.add_column("note")
-    for row in rows:
-        table.add_row(
-            Text(row.name),
-            state_text(row.state.value),
-            Text(str(row.spec.get("task", {}).get("name", "-"))),
-            Text(str(row.spec.get("search", {}).get("strategy", "-"))),
-            done_of(row),
-            value_of(row.best_value),
-            count(row.samples),
-            duration(row.seconds),
-            row.created_at.astimezone().strftime("%Y-%m-%d %H:%M"),
-            Text(first_line(row.reason, 60)),
-        )
-    return table
+    return fitted(
+        [
+            Column("study", [row.name for row in rows], left=True),
+            Column("state", [state_text(row.state.value) for row in rows], left=True),
+            Column("task", [str(row.spec.get("task", {}).get("name", "-")) for row in rows], rank=3, left=True),
+            Column("strategy", [str(row.spec.get("search", {}).get("strategy", "-")) for row in rows], 4, left=True),
+            Column("trials", [done_of(row) for row in rows]),
+            Column("best", [value_of(row.best_value) for row in rows]),
+            Column("samples", [count(row.samples) for row in rows], rank=6),
+            Column("training", [duration(row.seconds) for row in rows], rank=2),
+            Column("created", [row.created_at.astimezone().strftime("%Y-%m-%d %H:%M") for row in rows], 5, left=True),
+            Column("note", [first_line(row.reason) for row in rows], rank=1, sentences=True),
+        ],
+        width,
+    )
 
 
-def feature_heads(behaviour: Behaviour | None) -> list[str]:
-    """Column heads of the features, with their unit."""
+def with_unit(name: str, unit: str | None) -> str:
+    """A head with its unit below it: narrower than beside it."""
+    return f"{name}\n({unit})" if unit else name
+
+
+def parameter_columns(trials: Sequence[TrialRow], units: Mapping[str, str], rank: int = 0) -> list[Column]:
+    """The parameters of trials, a column each; one column for all where they are many."""
+    names = list(trials[0].params) if trials else []
+    if len(names) > MOST_COLUMNS:
+        cells = [", ".join(f"{name} {value_of(trial.params.get(name))}" for name in names) for trial in trials]
+        return [Column("parameters", cells, rank=rank, sentences=True)]
+    return [
+        Column(with_unit(name, units.get(name)), [value_of(trial.params.get(name)) for trial in trials], rank=rank)
+        for name in names
+    ]
+
+
+def feature_columns(trials: Sequence[TrialRow], behaviour: Behaviour | None) -> list[Column]:
+    """The features of trials, a column each."""
     if behaviour is None:
         return []
-    unit = f" ({behaviour.unit})" if behaviour.unit else ""
-    return [f"{name}{unit}" for name in behaviour.names]
-
-
-def parameter_heads(names: Sequence[str], units: Mapping[str, str]) -> list[str]:
-    """Column heads of the parameters, with their units; one for all of them where they are many."""
-    if len(names) > MOST_COLUMNS:
-        return ["parameters"]
-    return [f"{name} ({units[name]})" if units.get(name) else name for name in names]
-
-
-def parameter_cells(names: Sequence[str], params: Mapping[str, Any]) -> list[str]:
-    """The cells under `parameter_heads`."""
-    if len(names) > MOST_COLUMNS:
-        return [", ".join(f"{name} {value_of(params.get(name))}" for name in names)]
-    return [value_of(params.get(name)) for name in names]
+    return [
+        Column(
+            with_unit(name, behaviour.unit),
+            [value_of(None if trial.features is None else trial.features[index]) for trial in trials],
+        )
+        for index, name in enumerate(behaviour.names)
+    ]
 
 
 def trials_table(
-    rows: Sequence[TrialRow], behaviour: Behaviour | None, units: Mapping[str, str], *, with_z: bool
-) -> Table:
+    rows: Sequence[TrialRow], behaviour: Behaviour | None, units: Mapping[str, str], width: int
+) -> RenderableType:
     """`halma trials`."""
-    names = list(rows[0].params) if rows else []
-    table = plain_table()
-    table.add_column("trial", justify="right")
-    table.add_column("state", no_wrap=True)
-    heads = ["value", *feature_heads(behaviour), *(["z"] if with_z else []), *parameter_heads(names, units)]
-    for head in [*heads, "samples", "time", "tries"]:
-        table.add_column(head, justify="right")
-    table.add_column("note")
-    for row in rows:
-        features: list[Any] = list(row.features or [None] * len(behaviour.names)) if behaviour else []
-        table.add_row(
-            str(row.number),
-            state_text(row.state.value),
-            value_of(row.value),
-            *map(value_of, features),
-            *([value_of(row.z)] if with_z else []),
-            *parameter_cells(names, row.params),
-            count(row.samples),
-            duration(row.seconds),
-            str(row.attempts),
-            Text(first_line(row.message, 60)),
-        )
-    return table
+    with_z = any(trial.z is not None for trial in rows)
+    return fitted(
+        [
+            Column("trial", [str(trial.number) for trial in rows]),
+            Column("state", [state_text(trial.state.value) for trial in rows], left=True),
+            Column("value", [value_of(trial.value) for trial in rows]),
+            *feature_columns(rows, behaviour),
+            *([Column("z", [value_of(trial.z) for trial in rows])] if with_z else []),
+            *parameter_columns(rows, units, rank=2),
+            Column("samples", [count(trial.samples) for trial in rows], rank=4),
+            Column("time", [duration(trial.seconds) for trial in rows], rank=3),
+            Column("tries", [str(trial.attempts) for trial in rows], rank=5),
+            Column("note", [first_line(trial.message) for trial in rows], rank=1, sentences=True),
+        ],
+        width,
+    )
 
 
 def fields_table(fields: Mapping[str, Any]) -> Table:

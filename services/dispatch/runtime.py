@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import socket
 import threading
@@ -71,7 +72,8 @@ class WorkerContext:
                 self._assignment.attempt,
                 self._assignment.token,
                 iteration=iteration,
-                metrics={name: float(value) for name, value in metrics.items()},
+                # JSON has no NaN, and a curve no place for one: what isn't finite is left out of the iteration.
+                metrics={name: float(value) for name, value in metrics.items() if math.isfinite(value)},
                 samples=cost.samples,
                 seconds=cost.seconds,
             )

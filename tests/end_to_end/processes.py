@@ -33,7 +33,7 @@ class Home:
 
     def run(self, *arguments, expect=0):
         process = self.start(*arguments)
-        output, _ = process.communicate(timeout=240)
+        output, _ = process.communicate(timeout=900)
         assert process.returncode == expect, output
         return output
 
@@ -84,7 +84,7 @@ def kill_all(pids):
             continue  # an earlier one took it along
 
 
-def wait_for(condition, seconds=120, every=0.1):
+def wait_for(condition, seconds=400, every=0.1):
     """Wait until something is so; fails loudly where it never is."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:

@@ -93,7 +93,7 @@ def test_ctrl_c_stops_at_a_checkpoint_and_leaves_no_process_behind(home):
     wait_for(lambda: [t for t in store.trials(row.id) if t.iteration >= 2])
     everybody = family(process.pid)
     process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=60)
+    output, _ = process.communicate(timeout=300)
     assert process.returncode == 130, output
     assert "halma resume killed" in output
     row = store.study("killed")
@@ -101,5 +101,5 @@ def test_ctrl_c_stops_at_a_checkpoint_and_leaves_no_process_behind(home):
     for trial in store.trials(row.id):
         assert trial.state.value == "queued"
         assert store.attempts(trial.id)[-1].state.value == "preempted"
-    wait_for(lambda: not alive(everybody), seconds=60)
+    wait_for(lambda: not alive(everybody))
     store.close()

@@ -1,8 +1,8 @@
 """The service as people use it: serve in one terminal, submit and watch in another, the page in a browser."""
 
+import json
 import re
 import signal
-import time
 
 import pytest
 from processes import alive, family, wait_for
@@ -55,9 +55,9 @@ def test_a_submitted_study_is_driven_watched_and_seen_rising_in_the_browser(home
             return counts[-1] >= 6
 
         loads = []
-        page.on("load", loads.append)
+        page.on("load", lambda event: loads.append(event))  # noqa: PLW0108 - playwright takes no bound builtin
         watched = home.run("watch", "served")
-        wait_for(rises, seconds=120)
+        wait_for(rises)
         assert loads == []  # nothing was loaded anew
         assert counts == sorted(counts)
         assert "complete" in watched
@@ -65,10 +65,10 @@ def test_a_submitted_study_is_driven_watched_and_seen_rising_in_the_browser(home
         everybody = family(server.pid)
     finally:
         server.send_signal(signal.SIGTERM)
-        output, _ = server.communicate(timeout=90)
+        output, _ = server.communicate(timeout=300)
     assert server.returncode == 0, output
     assert len(home.trials("served")) == 6
-    wait_for(lambda: not alive(everybody), seconds=60)
+    wait_for(lambda: not alive(everybody))
 
 
 @pytest.mark.postgres
@@ -79,8 +79,6 @@ def test_the_same_study_on_postgresql_gives_the_same_trials(home, postgres_serve
     home.run("run", file, "--inline", "--db", url)
 
     def what_counts(*where):
-        import json
-
         trials = json.loads(home.run("trials", "served", "--json", *where))
         keys = ("number", "state", "params", "value", "features", "seed")
         return [{**{key: trial[key] for key in keys}, "left": trial["artifacts"]} for trial in trials]
@@ -98,13 +96,11 @@ def test_two_runs_on_one_home_do_not_drive_the_same_study_twice(home):
     file = home.write("study.yaml", STUDY.replace("6000", "400000"))
     first = home.start("run", file, "--inline")
     try:
-        wait_for(lambda: "running" in home.run("ls"), seconds=60, every=1.0)
+        wait_for(lambda: "running" in home.run("ls"), every=1.0)
         told = home.run("run", file, "--inline")
         assert "served is being driven by process" in told
         assert str(first.pid) in told
     finally:
         first.send_signal(signal.SIGINT)
-        began = time.monotonic()
-        first.communicate(timeout=120)
-        assert time.monotonic() - began < 120
+        first.communicate(timeout=300)
     assert first.returncode == 130

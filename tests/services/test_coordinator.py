@@ -286,6 +286,17 @@ def test_a_study_whose_every_trial_fails_stops_with_the_reason(world):
     assert row.reason == "the last 2 trials all failed (stop_after_failures: 2); the newest: no module"
 
 
+def test_a_failed_study_that_is_resumed_gets_a_new_chance(world):
+    test_a_study_whose_every_trial_fails_stops_with_the_reason(world)
+    with world.store.transaction() as change:
+        change.ask("s", "run")
+    world.coordinator.take("s")
+    world.steps()
+    world.dispatcher.end(world.dispatcher.given[-1])
+    world.steps()
+    assert world.store.study("s").state is StudyState.COMPLETE
+
+
 def test_pause_stops_at_checkpoints_and_the_next_driver_goes_on(world):
     world.steps()
     with world.store.transaction() as change:

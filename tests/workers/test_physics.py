@@ -50,6 +50,31 @@ def test_free_flight_keeps_momentum_however_the_joints_are_driven(world):
     assert athlete.centre_of_mass(athlete.links()) == pytest.approx(expected, abs=0.02)
 
 
+def angular_momentum(world):
+    """About the centre of mass, from the bodies' states (kg m^2/s)."""
+    athlete = world.athlete
+    links = athlete.links()
+    centre, velocity = athlete.centre_of_mass(links), athlete.centre_of_mass(links[:, 7:10])
+    total = np.zeros(3)
+    for body, mass in enumerate(athlete.mass):
+        inertia = np.diag(bullet.getDynamicsInfo(athlete.body, body - 1, **world._k)[2])
+        turn = np.array(bullet.getMatrixFromQuaternion(links[body, 3:7])).reshape(3, 3)
+        total += mass * np.cross(links[body, :3] - centre, links[body, 7:10] - velocity)
+        total += turn @ inertia @ turn.T @ links[body, 10:13]
+    return total
+
+
+def test_free_flight_keeps_angular_momentum_within_a_twelfth(world):
+    rng = np.random.default_rng(6)
+    throw(world, rng)
+    before = angular_momentum(world)
+    for frame in range(60):
+        if frame % 12 == 0:
+            world.athlete.command(RUN + 0.4 * rng.normal(size=COORDINATES))
+        world.advance()
+    assert np.linalg.norm(angular_momentum(world) - before) < np.linalg.norm(before) / 12
+
+
 def test_without_torque_a_command_moves_nothing():
     def bent(limit):
         world = World()

@@ -238,8 +238,8 @@ class Athlete:
     def torques(self, dt: float) -> Array:
         """Torques ``[28]`` (N m) of muscles and ligaments in Bullet's next step of `dt` seconds, after `actuate`.
 
-        Bullet keeps them to itself, so this is stable PD control once more, in numpy and slow (Tan, Liu and Turk 2011,
-        equations 3 and 4): for recordings. A test holds it against Bullet's.
+        Bullet keeps them to itself, so this is stable PD control once more, in numpy and slow: for
+        recordings. A test holds it against Bullet's.
         """
         states = bullet.getJointStatesMultiDof(self.body, self._links, **self._k)
         position, orientation = bullet.getBasePositionAndOrientation(self.body, **self._k)

@@ -70,7 +70,7 @@ class Painter:
         return Recorded(policy)
 
 
-def slow_hill(params):
+def trek(params):
     """Takes 0.2 s."""
     time.sleep(0.2)
     return hill(params)

@@ -51,7 +51,7 @@ def wait_for(condition):
 @pytest.fixture
 def slow_run(shell, hill):
     """`halma run` on thirty trials that take 0.2 s each, with at least two of them finished."""
-    shell.write("slow.yaml", hill.replace(":hill", ":slow_hill").replace("trials: 4", "trials: 12"))
+    shell.write("slow.yaml", hill.replace(":hill", ":trek").replace("trials: 4", "trials: 12"))
     process = start(HALMA, "run", "slow.yaml", "--inline")
     store = None
     try:

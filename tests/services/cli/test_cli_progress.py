@@ -93,4 +93,5 @@ def test_the_picture_in_a_terminal_has_a_bar_and_a_line_for_each_running_trial(s
     console.print(picture(Observer(store, "hill").look(0.0)))
     lines = console.file.getvalue().splitlines()
     assert lines[0].startswith("━" * 30 + "  1 of 4 trials")
-    assert lines[1] == "  trial 1: starting"
+    assert lines[1] == "best 0.9, 1 distinct strategy, 1,000 samples"
+    assert lines[2] == "  trial 1: starting"

@@ -1,4 +1,4 @@
-"""The rules of the high jump and its reward, as published (Yin et al. 2021, section 5.2)."""
+"""The rules of the high jump and its reward, as published (Yin et al. 2021)."""
 
 from __future__ import annotations
 

@@ -1,0 +1,59 @@
+"""Curves of the raw results: distinct strategies by evaluations, fraction of the optimum by cost.
+
+python -m benchmarks.search.draw            # writes diversity.png and quality.png beside the raw results
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt  # the backend is chosen first: there may be no display
+
+from benchmarks.search.diversity import RESULTS
+from benchmarks.search.quality import GRID
+
+
+def complete(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """Runs by configuration, only for problems and seeds that every configuration has."""
+    by = {(r["config"], r["problem"], r["seed"]): r for r in rows}
+    configs = sorted({c for c, _, _ in by})
+    pairs = sorted({(p, s) for _, p, s in by})
+    whole = [(p, s) for p, s in pairs if all((c, p, s) in by for c in configs)]
+    return {c: [by[c, p, s] for p, s in whole] for c in configs}
+
+
+def draw(path: Path, x: np.ndarray | None, key: str, labels: tuple[str, str]) -> None:
+    """One figure: means, with the standard error over problems and seeds as a band."""
+    runs = complete([json.loads(line) for line in path.read_text().splitlines()])
+    figure, axes = plt.subplots(figsize=(8, 5))
+    for config, rows in runs.items():
+        Y = np.array([r[key] for r in rows], dtype=float)
+        at = np.arange(1, Y.shape[1] + 1) if x is None else x
+        mean, error = Y.mean(0), Y.std(0) / np.sqrt(len(Y))
+        (line,) = axes.plot(at, mean, label=config)
+        axes.fill_between(at, mean - error, mean + error, color=line.get_color(), alpha=0.15)
+    axes.set_xlabel(labels[0])
+    axes.set_ylabel(labels[1])
+    axes.legend(fontsize="small")
+    figure.tight_layout()
+    figure.savefig(path.with_suffix(".png"), dpi=120)
+    print(path.with_suffix(".png"))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    args = parser.parse_args()
+    draw(args.results / "diversity.jsonl", None, "curve", ("evaluations", "distinct strategies"))
+    draw(args.results / "quality.jsonl", np.array(GRID), "at", ("cost, full evaluations", "fraction of the optimum"))
+
+
+if __name__ == "__main__":
+    main()
