@@ -144,6 +144,7 @@ def trial(request: Request, service: Uses, study: Study, number: Number) -> Resp
         units=row.spec.get("units") or {},
         behaviour=behaviour(row, one),
         details=shown_details(one),
+        tables=shown_tables(one),
         last=last,
         is_open=one.state in {TrialState.QUEUED, TrialState.RUNNING},
     )
@@ -162,10 +163,12 @@ def behaviour(study: StudyRow, one: TrialRow) -> list[dict[str, Any]]:
 
 
 def shown_details(one: TrialRow) -> list[tuple[str, Any]]:
-    """The named results of a trial as dotted names and plain values, so that a nested one needs no knowledge."""
+    """The trial's named results one by one, nested ones by dotted name; those that make a table are left out."""
 
     def flat(prefix: str, value: Any) -> list[tuple[str, Any]]:
         if isinstance(value, Mapping):
+            if _is_table(value):
+                return []
             return [pair for key, inner in value.items() for pair in flat(f"{prefix}.{key}" if prefix else key, inner)]
         if isinstance(value, list | tuple):
             plain = ", ".join(f"{item:.4g}" if isinstance(item, float) else str(item) for item in value[:8])
@@ -173,3 +176,27 @@ def shown_details(one: TrialRow) -> list[tuple[str, Any]]:
         return [(prefix, value)]
 
     return flat("", one.details)
+
+
+def shown_tables(one: TrialRow) -> list[tuple[str, list[str], list[tuple[str, list[Any]]]]]:
+    """Named results that make tables, such as an audit's checks: dotted name, columns, and rows by name."""
+
+    def tables(prefix: str, value: Any) -> list[tuple[str, list[str], list[tuple[str, list[Any]]]]]:
+        if not isinstance(value, Mapping):
+            return []
+        if _is_table(value):
+            columns = list(next(iter(value.values())))
+            rows = [(name.replace("_", " "), [row[column] for column in columns]) for name, row in value.items()]
+            return [(prefix, columns, rows)]
+        return [table for key, inner in value.items() for table in tables(f"{prefix}.{key}" if prefix else key, inner)]
+
+    return tables("", one.details)
+
+
+def _is_table(value: Mapping[str, Any]) -> bool:
+    """Whether a mapping holds at least two mappings of the same names to plain values."""
+    rows = list(value.values())
+    if len(rows) < 2 or not all(isinstance(row, Mapping) and row for row in rows):
+        return False
+    alike = all(set(row) == set(rows[0]) for row in rows)
+    return alike and not any(isinstance(cell, Mapping | list | tuple) for row in rows for cell in row.values())
