@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from pathlib import Path
+from typing import Any
 
-from fastapi import FastAPI
+from fastapi import FastAPI, Response
 from fastapi.staticfiles import StaticFiles
 
 from dashboards import login, pages
 from dashboards.errors import add_page_errors
+from dashboards.rendering import static_root
 from dashboards.vendor import missing
 from services.api.assembly import create_api
 from services.api.service import Artifacts, Submit
@@ -17,6 +19,16 @@ from services.auth import Gatekeeper, LoginThrottle
 from services.store.port import Store
 
 STATIC = Path(__file__).parent / "static"
+
+
+class KeptFiles(StaticFiles):
+    """Files whose content is named by their path: a browser asks once."""
+
+    def file_response(self, *args: Any, **options: Any) -> Response:
+        """The file, to be kept."""
+        answer = super().file_response(*args, **options)
+        answer.headers["cache-control"] = "private, max-age=31536000, immutable"
+        return answer
 
 
 def create_app(
@@ -46,7 +58,7 @@ def create_app(
         submit=submit,
         on_change=on_change,
         hosts=hosts,
-        open_paths=login.OPEN_PATHS,
+        open_paths=login.open_paths(),
     )
     app.state.gate = gate
     app.state.throttle = LoginThrottle()
@@ -54,5 +66,5 @@ def create_app(
     add_page_errors(app)
     app.include_router(login.router)
     app.include_router(pages.router)
-    app.mount("/static", StaticFiles(directory=STATIC), name="static")
+    app.mount(static_root(), KeptFiles(directory=STATIC), name="static")
     return app

@@ -8,13 +8,16 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Query, Request
 from fastapi.responses import RedirectResponse, Response
 
-from dashboards.rendering import page
+from dashboards.rendering import page, static_root
 from services.auth import COOKIE, SESSION_SECONDS, Gatekeeper, LoginThrottle
 
-OPEN_PATHS = frozenset({"/login", "/static/style.css", "/static/theme.js", "/static/icon.svg", "/favicon.ico"})
-"""The login page and what it needs; everything else is behind it."""
-
 router = APIRouter(include_in_schema=False)
+
+
+def open_paths() -> frozenset[str]:
+    """The login page and what it needs; everything else is behind it."""
+    needed = ("style.css", "theme.js", "icon.svg")
+    return frozenset({"/login", "/favicon.ico", *(f"{static_root()}/{name}" for name in needed)})
 
 
 def inside(target: str) -> str:

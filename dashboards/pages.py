@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Request
 from fastapi.responses import RedirectResponse, Response
 
-from dashboards.rendering import page
+from dashboards.rendering import page, static_root
 from services.api.models import StudyOut, StudySummary
 from services.api.routes import LARGEST_ID
 from services.api.service import Service, Uses
@@ -36,7 +36,7 @@ def position(service: Service) -> dict[str, Any]:
 @router.get("/favicon.ico")
 def favicon() -> Response:
     """What browsers ask for unasked."""
-    return RedirectResponse("/static/icon.svg", 301)
+    return RedirectResponse(f"{static_root()}/icon.svg", 302)
 
 
 @router.get("/")

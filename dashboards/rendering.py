@@ -14,6 +14,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from dashboards import words
+from dashboards.vendor import STAMP
 from services.api.service import halma_version
 
 HERE = Path(__file__).parent
@@ -26,12 +27,13 @@ def as_json(value: Any) -> Markup:
 
 
 @cache
-def fingerprint() -> str:
-    """Changes when any script or style does, so that a browser may keep them for long."""
+def static_root() -> str:
+    """Where scripts and styles are served: their content is in the path, so that a browser may keep them for good."""
     digest = hashlib.sha256()
-    for path in sorted((HERE / "static").glob("*.*")):
-        digest.update(path.name.encode() + path.read_bytes())
-    return digest.hexdigest()[:12]
+    for path in sorted([*(HERE / "static").glob("*.*"), HERE / "static" / "vendor" / STAMP]):
+        if path.is_file():
+            digest.update(path.name.encode() + path.read_bytes())
+    return f"/static/{digest.hexdigest()[:12]}"
 
 
 @cache
@@ -54,7 +56,7 @@ def environment() -> Environment:
         feature=words.feature,
         as_json=as_json,
     )
-    env.globals.update(version=halma_version())
+    env.globals.update(version=halma_version(), static=static_root())
     return env
 
 

@@ -6,7 +6,7 @@ let loading = null;
 export function plotly() {
   loading ??= new Promise((resolve, reject) => {
     const script = document.createElement("script");
-    script.src = "/static/vendor/plotly.js";
+    script.src = new URL("./vendor/plotly.js", import.meta.url);
     script.onload = () => resolve(window.Plotly);
     script.onerror = () => reject(new Error("Charts are not installed: run python -m dashboards.vendor"));
     document.head.append(script);

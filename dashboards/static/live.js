@@ -35,7 +35,7 @@ export class Live {
     address.searchParams.set("after", this.#cursor);
     if (this.study !== null) address.searchParams.set("study", this.study);
     const socket = (this.#socket = new WebSocket(address));
-    socket.onmessage = (message) => this.#take(socket, JSON.parse(message.data));
+    socket.onmessage = (message) => { for (const frame of [JSON.parse(message.data)].flat()) this.#take(socket, frame); };
     socket.onclose = () => { if (socket === this.#socket) this.#lost(); };
   }
 

@@ -6,7 +6,8 @@ again for what lies between otherwise; so nothing is lost between rendering a pa
 subscribing, and nothing stays stale. Event ids of a study have gaps (other studies' events lie between), which is why
 frames carry the range and clients don't count.
 
-The poller runs only while somebody listens. Rows are read, and frames encoded, once for all listeners of a study.
+A message is a frame or a list of frames, in order. The poller runs only while somebody listens. Rows are read, and
+frames encoded, once for all listeners of a study.
 """
 
 from __future__ import annotations
@@ -62,6 +63,14 @@ def trials_of(event: EventRow) -> list[int]:
         return [event.trial]
     made = event.payload.get("trials")
     return [int(number) for number in made] if event.kind == "proposed" and isinstance(made, list) else []
+
+
+def joined(frames: Iterable[tuple[Topic, str]]) -> dict[Topic, str]:
+    """One message for each topic: its frame, or the list of them. A message costs more than what is in it."""
+    by_topic: dict[Topic, list[str]] = {}
+    for topic, frame in frames:
+        by_topic.setdefault(topic, []).append(frame)
+    return {topic: each[0] if len(each) == 1 else f"[{','.join(each)}]" for topic, each in by_topic.items()}
 
 
 RESET = encode({"type": "reset"})
@@ -170,10 +179,10 @@ class Hub:
                 topics = {listener.topic for listener in self._listeners}
                 check = time.monotonic() - checked >= HISTORY_SECONDS
                 checked = time.monotonic() if check else checked
-                for topic, frame in await run_in_threadpool(self._look, topics, check_history=check):
-                    for listener in self._listeners:
-                        if listener.topic == topic:
-                            listener.put(frame)
+                news = joined(await run_in_threadpool(self._look, topics, check_history=check))
+                for listener in self._listeners:
+                    if listener.topic in news:
+                        listener.put(news[listener.topic])
         finally:
             for listener in list(self._listeners):
                 listener.end()

@@ -1,6 +1,7 @@
 """Nothing that was computed is lost, and nothing is computed twice, whoever dies."""
 
 import signal
+from pathlib import Path
 
 import pytest
 from processes import alive, family, kill_all, wait_for
@@ -32,12 +33,12 @@ def curve(store, row, number):
     return [metric.iteration for metric in store.metrics(store.trial(row.id, number).id)]
 
 
-def killed_in_the_middle(home, file, *, after):
-    """Start the study, wait until trial `after` has made some iterations, and kill everybody."""
+def under_way(home, file, *, after):
+    """Start the study and wait until trial `after` has made some iterations."""
     process = home.start("run", file)
     store = wait_for(lambda: open_store(home.folder / "halma.db") if (home.folder / "halma.db").exists() else None)
 
-    def under_way():
+    def far_enough():
         if process.poll() is not None:
             raise AssertionError(process.stdout.read())
         rows = {row.name: row for row in store.studies()}
@@ -46,10 +47,19 @@ def killed_in_the_middle(home, file, *, after):
         trials = store.trials(rows["killed"].id)
         return rows["killed"] if len(trials) > after and trials[after].iteration >= 3 else None
 
-    row = wait_for(under_way)
+    return process, store, wait_for(far_enough)
+
+
+def killed_in_the_middle(home, file, *, after):
+    """Start the study, wait until trial `after` has made some iterations, and kill everybody."""
+    process, store, row = under_way(home, file, after=after)
     kill_all(family(process.pid))
     process.communicate()
     return store, row
+
+
+def title(pid):
+    return Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace")
 
 
 def test_a_killed_study_goes_on_where_it_was(home):
@@ -83,6 +93,30 @@ def test_a_killed_and_resumed_study_equals_an_undisturbed_one_bit_for_bit(home, 
     expected = [what_counts(trial) for trial in undisturbed.trials("killed")]
     assert [what_counts(trial) for trial in home.trials("killed")] == expected
     assert len(expected) == 4
+
+
+@pytest.mark.parametrize("victim", ["Worker", "StrategyActor", "CoordinatorActor"])
+def test_a_study_outlives_each_of_its_processes(home, victim):
+    file = home.write("study.yaml", STUDY.format(samples=40_000, parallel=2))
+    process, store, row = under_way(home, file, after=1)
+    victims = [pid for pid in family(process.pid) if f"ray::{victim}" in title(pid)]
+    assert victims
+    kill_all(victims[:1])
+    output, _ = process.communicate(timeout=600)
+    assert process.returncode == 0, output
+    trials = store.trials(row.id)
+    assert [trial.number for trial in trials] == [0, 1, 2, 3]
+    assert sorted(trial.position for trial in trials) == [0, 1, 2, 3]
+    for trial in trials:
+        assert trial.state.value in {"complete", "infeasible"}
+        states = [attempt.state.value for attempt in store.attempts(trial.id)]
+        assert states[-1] == trial.state.value
+        assert set(states[:-1]) <= {"lost"}
+        iterations = curve(store, row, trial.number)
+        assert iterations == list(range(1, len(iterations) + 1))
+    if victim == "Worker":
+        assert sum(trial.retries for trial in trials) == 1
+    store.close()
 
 
 def test_ctrl_c_stops_at_a_checkpoint_and_leaves_no_process_behind(home):

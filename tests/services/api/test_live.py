@@ -31,7 +31,11 @@ class Listener:
             while not done(self):
                 self.take(json.loads(await anext(self.frames)))
 
-    def take(self, frame):
+    def take(self, message):
+        for frame in message if isinstance(message, list) else [message]:
+            self.apply(frame)
+
+    def apply(self, frame):
         if frame["type"] == "hello":
             self.hello = frame
         elif frame["type"] == "events":
@@ -287,7 +291,8 @@ class TestSocket:
                 "cursor": start,
             }
             record.propose()
-            frame = socket.receive_json()
+            message = socket.receive_json()
+            frame = message[0] if isinstance(message, list) else message
             assert (frame["from"], frame["to"]) == (start, start + 1)
             assert [event["kind"] for event in frame["events"]] == ["proposed"]
 
