@@ -93,7 +93,9 @@ class Features:
     def canonical(self, Y: Array) -> Array:
         """``... x d`` behaviours in their canonical coordinates."""
         if self.kind == "circle":
-            return np.asarray((Y + np.pi) % (2 * np.pi) - np.pi)
+            # an angle that lies there already is left as it is, to the last bit
+            inside = (-np.pi <= Y) & (np.pi > Y)
+            return np.asarray(np.where(inside, Y, (Y + np.pi) % (2 * np.pi) - np.pi))
         if self.kind == "rotation":
             Y = Y / np.linalg.norm(Y, axis=-1, keepdims=True)
             # of q and -q the one whose last non-zero coordinate is positive, so that equal rotations are equal arrays
