@@ -149,6 +149,7 @@ class Drive:
             pool=self.row.pool,
             cpus=self.spec.resources.cpus,
             parent_artifacts=parent_artifacts,
+            iteration=trial.iteration,
         )
 
     def end_of(self, trial: TrialRow) -> None:

@@ -140,7 +140,11 @@ class Context(Protocol):
     """What a running job may ask of its surroundings. An implementation is given to `run`."""
 
     def report(self, iteration: int, metrics: Mapping[str, float], cost: Cost) -> None:
-        """Tell how iteration `iteration` (from 1) went. Called after that iteration's checkpoint is safe."""
+        """Tell how iteration `iteration` (from 1) went.
+
+        Called before that iteration's checkpoint is saved, so that a context can keep with the checkpoint what may
+        have reached nobody. An iteration that is repeated is told again and replaces what was told of it.
+        """
 
     def stop_requested(self) -> bool:
         """Whether to checkpoint and raise `Interrupted` at the next iteration boundary."""

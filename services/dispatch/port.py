@@ -27,6 +27,7 @@ class Assignment:
         pool: the worker pool it runs in.
         cpus: cores it may use.
         parent_artifacts: what the trial left whose policy this one starts from.
+        iteration: the last iteration that is on record.
     """
 
     attempt: int
@@ -37,6 +38,7 @@ class Assignment:
     pool: str = "default"
     cpus: float = 1.0
     parent_artifacts: tuple[NewArtifact, ...] = ()
+    iteration: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +61,7 @@ class Beat:
 
 @dataclass(frozen=True, slots=True)
 class Reported:
-    """An iteration is done and its checkpoint is safe. `samples` and `seconds` count from the first attempt on."""
+    """An iteration is done. `samples` and `seconds` count from the first attempt on."""
 
     attempt: int
     token: int

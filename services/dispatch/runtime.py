@@ -8,7 +8,9 @@ import os
 import socket
 import threading
 import traceback
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import safetensors.numpy
@@ -16,7 +18,7 @@ import safetensors.numpy
 import services
 import workers
 from services.artifacts import ArtifactStore
-from services.dispatch.port import Assignment, Beat, Began, Crashed, Ended, Message, Reported, Stopped
+from services.dispatch.port import Assignment, Beat, Began, Crashed, Ended, Message, Reported, Stopped, decode, encode
 from services.errors import ArtifactDamaged
 from services.store.port import NewArtifact
 from workers.contracts import BadJob, Checkpoint, Context, Cost, Interrupted, Job
@@ -28,24 +30,33 @@ BEAT_SECONDS = 2.0
 LOG_LINES = 2000
 """A trial's log keeps its newest lines."""
 
+KEPT_REPORTS = 500
+"""So many newest reports travel with a checkpoint. A worker that outlives its coordinator is ended within seconds."""
+
 Send = Callable[[Message], None]
 
 
-def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
-    """A checkpoint as safetensors, with the counters and random states as JSON metadata."""
-    metadata = {"iteration": str(checkpoint.iteration), "state": json.dumps(checkpoint.state, sort_keys=True)}
+def encode_checkpoint(checkpoint: Checkpoint, reports: Sequence[Reported] = ()) -> bytes:
+    """A checkpoint as safetensors; counters, random states and the newest reports as JSON metadata."""
+    metadata = {
+        "iteration": str(checkpoint.iteration),
+        "state": json.dumps(checkpoint.state, sort_keys=True),
+        "reports": json.dumps([encode(report) for report in reports]),
+    }
     return safetensors.numpy.save(dict(checkpoint.tensors), metadata)
 
 
-def decode_checkpoint(data: bytes) -> Checkpoint:
-    """The checkpoint that `encode_checkpoint` wrote."""
+def decode_checkpoint(data: bytes) -> tuple[Checkpoint, list[Reported]]:
+    """The checkpoint and the reports that `encode_checkpoint` wrote."""
     size = int.from_bytes(data[:8], "little")
     metadata = json.loads(data[8 : 8 + size])["__metadata__"]
-    return Checkpoint(
+    checkpoint = Checkpoint(
         iteration=int(metadata["iteration"]),
         tensors=safetensors.numpy.load(data),
         state=json.loads(metadata["state"]),
     )
+    messages = [decode(text) for text in json.loads(metadata["reports"])]
+    return checkpoint, [message for message in messages if isinstance(message, Reported)]
 
 
 class WorkerContext:
@@ -58,6 +69,7 @@ class WorkerContext:
         self._stop = threading.Event()
         self._kept: dict[str, NewArtifact] = {}
         self._log: list[str] = []
+        self._reports: deque[Reported] = deque(maxlen=KEPT_REPORTS)
 
     def request_stop(self) -> None:
         """Make `stop_requested` true, from any thread."""
@@ -67,26 +79,34 @@ class WorkerContext:
         return self._stop.is_set()
 
     def report(self, iteration: int, metrics: Mapping[str, float], cost: Cost) -> None:
-        self._send(
-            Reported(
-                self._assignment.attempt,
-                self._assignment.token,
-                iteration=iteration,
-                # JSON has no NaN, and a curve no place for one: what isn't finite is left out of the iteration.
-                metrics={name: float(value) for name, value in metrics.items() if math.isfinite(value)},
-                samples=cost.samples,
-                seconds=cost.seconds,
-            )
+        report = Reported(
+            self._assignment.attempt,
+            self._assignment.token,
+            iteration=iteration,
+            # JSON has no NaN, and a curve no place for one: what isn't finite is left out of the iteration.
+            metrics={name: float(value) for name, value in metrics.items() if math.isfinite(value)},
+            samples=cost.samples,
+            seconds=cost.seconds,
         )
+        self._reports.append(report)
+        self._send(report)
 
     def save_checkpoint(self, checkpoint: Checkpoint) -> None:
-        self._artifacts.put_checkpoint(
-            self._assignment.study_key, self._assignment.trial, checkpoint.iteration, encode_checkpoint(checkpoint)
-        )
+        data = encode_checkpoint(checkpoint, self._reports)
+        self._artifacts.put_checkpoint(self._assignment.study_key, self._assignment.trial, checkpoint.iteration, data)
 
     def load_checkpoint(self) -> Checkpoint | None:
         newest = self._artifacts.newest_checkpoint(self._assignment.study_key, self._assignment.trial)
-        return None if newest is None else decode_checkpoint(newest[1])
+        if newest is None:
+            return None
+        checkpoint, reports = decode_checkpoint(newest[1])
+        mine = [replace(each, attempt=self._assignment.attempt, token=self._assignment.token) for each in reports]
+        self._reports.extend(mine)
+        for report in mine:
+            # What an earlier attempt said to a coordinator that was no more is said again.
+            if report.iteration > self._assignment.iteration:
+                self._send(report)
+        return checkpoint
 
     def save_artifact(self, name: str, data: bytes) -> None:
         assignment = self._assignment

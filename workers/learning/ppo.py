@@ -100,8 +100,8 @@ class _Training:
                 "samples": progress.samples,
                 "samples_per_second": (progress.samples - samples) / elapsed,
             }
-            self.context.save_checkpoint(self.checkpoint())
             self.context.report(progress.iteration, self.metrics, progress.cost)
+            self.context.save_checkpoint(self.checkpoint())
             if not self.spent() and self.context.stop_requested():
                 raise Interrupted(f"stopped at the checkpoint of iteration {progress.iteration}")
         return Trained(

@@ -1,6 +1,7 @@
 """One attempt in a worker process, with an artifact folder and a list in place of the wire."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -82,7 +83,7 @@ def test_a_stop_ends_at_a_checkpoint_from_which_the_next_attempt_goes_on(artifac
     first = outcome_of(artifacts, given, stop=True)
     assert isinstance(first[-1], Stopped)
     done = [message.iteration for message in first if isinstance(message, Reported)]
-    second = outcome_of(artifacts, given)
+    second = outcome_of(artifacts, replace(given, iteration=done[-1]))
     assert isinstance(second[-1], Ended)
     assert done + [message.iteration for message in second if isinstance(message, Reported)] == [1, 2, 3]
 
@@ -100,11 +101,27 @@ def test_a_checkpoint_survives_storage_to_the_last_bit():
         tensors={"w": np.array([0.1, -0.0, 1e-300]), "n": np.array([[1, 2]], np.int64)},
         state={"level": 0.1 + 0.2, "generator": [1, 2**63]},
     )
-    again = decode_checkpoint(encode_checkpoint(checkpoint))
+    again, reports = decode_checkpoint(encode_checkpoint(checkpoint))
+    assert reports == []
     assert (again.iteration, again.state) == (4, checkpoint.state)
     for name, tensor in checkpoint.tensors.items():
         assert again.tensors[name].dtype == tensor.dtype
         assert again.tensors[name].tobytes() == tensor.tobytes()
+
+
+def test_reports_that_reached_nobody_are_told_again_by_the_next_attempt(artifacts):
+    deaf = WorkerContext(assignment("point_jump"), artifacts, lambda _: None)
+    for iteration in (1, 2, 3):
+        deaf.report(iteration, {"return_mean": iteration / 10}, Cost(iteration * 100, iteration / 7))
+        deaf.save_checkpoint(Checkpoint(iteration, {"w": np.zeros(2)}, {}))
+    sent = []
+    given = replace(assignment("point_jump"), attempt=12, token=3, iteration=1)
+    checkpoint = WorkerContext(given, artifacts, sent.append).load_checkpoint()
+    assert checkpoint.iteration == 3
+    assert sent == [
+        Reported(12, 3, iteration=2, metrics={"return_mean": 0.2}, samples=200, seconds=2 / 7),
+        Reported(12, 3, iteration=3, metrics={"return_mean": 0.3}, samples=300, seconds=3 / 7),
+    ]
 
 
 def test_a_parents_artifact_that_was_altered_is_refused(artifacts, tmp_path):
