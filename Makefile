@@ -36,6 +36,7 @@ format: $(STAMP)  ## put the code in the house's format
 
 bench: $(STAMP)  ## the quick benchmarks, each figure beside its baseline
 	$(BIN)/python benchmarks/storage.py
+	$(BIN)/python benchmarks/simulation.py
 
 bench-search: $(STAMP)  ## the searches against their controls, quick version (minutes)
 	$(BIN)/python -m benchmarks.search.diversity --quick
