@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from starlette.websockets import WebSocketDisconnect
@@ -55,7 +56,9 @@ def ids_of(store, record, after):
 
 
 def run(coroutine):
-    return asyncio.run(coroutine)
+    # In a thread of its own: the browser that other tests share keeps an event loop running in this one.
+    with ThreadPoolExecutor(1) as threads:
+        return threads.submit(asyncio.run, coroutine).result()
 
 
 @pytest.fixture
