@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from services.dispatch.port import Beat, Began, Crashed, Ended, Message, Reported, Stopped, Vanished
 from services.drive import Drive, Live
@@ -77,6 +77,8 @@ class Arrivals:
                     samples=message.samples,
                     seconds=message.seconds,
                 )
+                # At once, not after the commit: the failure may be the next message of the same batch.
+                self._progressed(drive, live, message)
             case Ended():
                 row = change.finish(message.attempt, message.token, _result(message))
                 effects = [lambda: self._ended(drive, live, row)]
@@ -88,6 +90,14 @@ class Arrivals:
             case Vanished():
                 effects = self.vanished(change, drive, live, message.reason)
         return effects
+
+    @staticmethod
+    def _progressed(drive: Drive, live: Live, report: Reported) -> None:
+        """What a trial has cost so far is kept in view: a failure is recorded with it."""
+        trial = drive.open[live.trial]
+        drive.open[live.trial] = replace(
+            trial, iteration=report.iteration, samples=report.samples, seconds=report.seconds
+        )
 
     def _crashed(self, change: Change, drive: Drive, live: Live, trial: TrialRow, message: Crashed) -> list[Effect]:
         if message.retry and trial.retries < drive.spec.retries.limit:

@@ -268,6 +268,18 @@ def test_an_error_that_no_retry_mends_is_final_at_once(world):
     assert world.trials()[0].state is TrialState.FAILED
 
 
+def test_a_failure_keeps_what_its_trial_had_cost(world):
+    world.steps()
+    given = world.dispatcher.given[0]
+    world.dispatcher.inbox.append(
+        Reported(given.attempt, given.token, iteration=3, metrics={}, samples=40, seconds=0.5)
+    )
+    world.dispatcher.inbox.append(Crashed(given.attempt, given.token, message="bad", retry=False))
+    world.steps(1)
+    trial = world.trials()[0]
+    assert (trial.state, trial.samples, trial.seconds) == (TrialState.FAILED, 40, 0.5)
+
+
 def test_a_divergence_is_an_observation_and_the_study_goes_on(world):
     world.steps()
     world.dispatcher.end(world.dispatcher.given[0], status="diverged", message="iteration 3: reward became NaN")
