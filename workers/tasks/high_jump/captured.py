@@ -1,9 +1,10 @@
 """How far is a jump from those that an athlete was captured at?
 
 The distance of two flights is the root mean square distance (m) of the bodies' positions relative to the root, the one
-flight time-warped onto the other (dynamic time warping in its symmetric form: Sakoe and Chiba 1978, equation 11), turned
-about the vertical as a whole, and mirrored where that brings it nearer. Turned, because a clip does not say where its
-bar stood; mirrored, because a flop from the left foot is a flop. It is symmetric, and 0 for a flight and itself.
+flight time-warped onto the other (dynamic time warping in its symmetric form: Sakoe and Chiba 1978, equation 11),
+turned about the vertical as a whole, and mirrored where that brings it nearer. Turned, because a clip does not say
+where its bar stood; mirrored, because a flop from the left foot is a flop. It is symmetric, and 0 for a flight and
+itself.
 
     d^2 = min over path, theta, mirror of  sum w_ij mean_b |a_ib - R(theta) b_jb|^2 / (n + m)
 

@@ -1,6 +1,6 @@
 """What would a person call this jump? From how the body lies as it passes the bar, and from what gets over it first.
 
-"face-up layout, head first"; "upright, left side to the bar, left leg first". The athlete takes off from the right foot.
+"face-up layout, head first"; "upright, left side to the bar, left leg first". It takes off from the right foot.
 """
 
 from __future__ import annotations
