@@ -104,10 +104,8 @@ def value_of(service: Service, row: StudyRow) -> dict[str, str]:
     """
     first = service.store.trials(row.id, states=[TrialState.COMPLETE], limit=TELLING)
     complete = [trial for trial in first if trial.value is not None]
-    shared = [
-        name for name in (complete[0].details if complete else ()) if all(t.details.get(name) == t.value for t in complete)
-    ]
-    name = next((name for name in shared if name in words.UNIT_OF_VALUE), "value")
+    told = (name for name in words.UNIT_OF_VALUE if complete and all(t.details.get(name) == t.value for t in complete))
+    name = next(told, "value")
     unit = words.UNIT_OF_VALUE.get(name, "")
     return {"name": name, "unit": unit, "title": f"{name} ({unit})" if unit else name}
 

@@ -1,5 +1,5 @@
 // A study, live: its facts, and whichever view of it is open.
-import { actionsFor, buttons } from "./actions.js";
+import { actionsFor, buttons, clone } from "./actions.js";
 import { amount, duration, number, stateText } from "./format.js";
 import { Live, api, banner } from "./live.js";
 import { data, isDark, setText } from "./plain.js";
@@ -31,7 +31,7 @@ function facts() {
   const at = document.getElementById("actions");
   if (at.dataset.names !== names.join()) {
     at.dataset.names = names.join();
-    at.replaceChildren(...buttons(study, names));
+    at.replaceChildren(...buttons(study, names), ...clone(study));
   }
 }
 

@@ -33,7 +33,7 @@ from services.api.models import (
     TrialPage,
     TrialTable,
 )
-from services.api.service import Uses, halma_version
+from services.api.service import Service, Uses, halma_version
 from services.api.tables import FinishedTrials, csv_lines, table
 from services.errors import BadInput
 from services.states import TrialState
@@ -155,7 +155,7 @@ def trials(
 def trial_table(service: Uses, request: Request, study: Study) -> Response:
     """All trials as columns, for tables and charts."""
     cursor, history = service.store.last_event(), service.store.history_id()
-    rows = _finished(request, service).all_trials(service.store.study(study))
+    rows = finished_of(request, service).all_trials(service.store.study(study))
     # Encoded by hand: validating 50,000 rows of our own making would take longer than reading them.
     body = pydantic_core.to_json(table(rows, cursor=cursor, history=history))
     return Response(body, media_type="application/json")
@@ -165,7 +165,7 @@ def trial_table(service: Uses, request: Request, study: Study) -> Response:
 def trials_csv(service: Uses, request: Request, study: Study) -> StreamingResponse:
     """All trials as CSV."""
     row = service.store.study(study)
-    rows = _finished(request, service).all_trials(row)
+    rows = finished_of(request, service).all_trials(row)
     return StreamingResponse(
         csv_lines(rows),
         media_type="text/csv; charset=utf-8",
@@ -173,7 +173,8 @@ def trials_csv(service: Uses, request: Request, study: Study) -> StreamingRespon
     )
 
 
-def _finished(request: Request, service: Uses) -> FinishedTrials:
+def finished_of(request: Request, service: Service) -> FinishedTrials:
+    """The finished trials that this app remembers."""
     state = request.app.state
     if not hasattr(state, "finished_trials"):
         state.finished_trials = FinishedTrials(service.store)
@@ -266,7 +267,7 @@ def strategies(service: Uses, request: Request, study: Study) -> StrategyList:
     behaviour = behaviour_of(row)
     if behaviour is None:
         return StrategyList(cursor=cursor, history=history, distance=None, strategies=[])
-    finished = [trial for trial in _finished(request, service).all_trials(row) if trial.position is not None]
+    finished = [trial for trial in finished_of(request, service).all_trials(row) if trial.position is not None]
     found = distinct_trials(row, sorted(finished, key=lambda trial: trial.position or 0))
     return StrategyList(
         cursor=cursor,
