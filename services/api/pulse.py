@@ -12,7 +12,6 @@ from fastapi import APIRouter, Query, Request
 from pydantic import Field
 
 from services.api.models import Model
-from services.api.routes import finished_of
 from services.api.service import Uses
 from services.errors import UnknownStudy
 from services.states import StudyState, TrialState
@@ -81,8 +80,7 @@ def pulse(
             row = service.store.study(name)
         except UnknownStudy:
             continue
-        finished = [trial for trial in finished_of(request, service).all_trials(row) if trial.position is not None]
-        history = sorted(finished, key=lambda trial: trial.position or 0)
+        history = service.trials.history(row)
         rate, left = pace(row, history, time.time())
         pulses.append(
             Pulse(

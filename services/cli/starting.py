@@ -118,7 +118,9 @@ def serve(
         with coordinator_serving(settings.database, settings.artifacts, folder, sizes, ray_address=ray):
             yield
 
-    serving.serve(settings, start_coordinator=coordinator, say=say, host=host, port=listen, hosts=hosts or [])
+    serving.serve(
+        settings, start_coordinator=coordinator, say=say, host=host, port=listen, hosts=hosts or [], pools=sizes
+    )
 
 
 def _with_name(overrides: list[str] | None, name: str | None) -> list[str]:
