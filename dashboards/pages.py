@@ -50,8 +50,9 @@ def studies(request: Request, service: Uses) -> Response:
     return page(request, "studies.html", data=data, can_submit=service.submit is not None)
 
 
+@router.get("/cluster")
 @router.get("/workers")
-def workers(request: Request, service: Uses) -> Response:
+def cluster(request: Request, service: Uses) -> Response:
     """Who is doing what, and what waits."""
     return page(request, "workers.html", data=position(service))
 

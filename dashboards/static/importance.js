@@ -73,7 +73,7 @@ export class Importance {
     for (let tick = Math.ceil(low / step) * step; tick <= most; tick += step * Math.max(1, Math.round((most - low) / step / 5))) {
       root.append(svg("line", { x1: x(tick), x2: x(tick), y1: top, y2: height - foot, stroke: colour("line") }), svg("text", { x: x(tick), y: height - foot + 15, "text-anchor": "middle", ...soft }, number(Number(tick.toPrecision(2)), 2)));
     }
-    root.append(svg("text", { x: (left + width) / 2, y: height - 6, "text-anchor": "middle", ...soft }, "importance (share)"));
+    root.append(svg("text", { x: (left + width) / 2, y: height - 6, "text-anchor": "middle", ...soft }, "importance (share of the variance; lengths: share of all)"));
     for (const [index, one] of parameters.entries()) {
       const y = top + row * index + row / 2;
       root.append(

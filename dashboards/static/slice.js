@@ -12,6 +12,8 @@ import { thinned } from "./valuechart.js";
 export const SCALE = [[0, "#00224e"], [0.25, "#434e6c"], [0.5, "#7d7c78"], [0.75, "#bcaf6f"], [1, "#fee838"]];
 const UNSURE = [[0, "#f7f4ee"], [0.35, "#d8c9e3"], [0.7, "#9a79b8"], [1, "#4b2466"]];
 const UNSURE_DARK = [[0, "#20242a"], [0.35, "#4b3c5e"], [0.7, "#9a79b8"], [1, "#ead9f7"]];
+// Marks that are seen on every colour of both scales, and on the paper of the legend.
+const OVER = { failed: "#f2641c", running: "#12b88c", queued: "#12b88c" };
 const PATIENCE = 180;
 const LEAST_PAUSE = 2000;
 
@@ -168,7 +170,7 @@ export class SliceView {
     }
     for (const state of STATES) {
       const of = thinned(all.filter((trial) => trial.state === state && state !== "complete" && state !== "cancelled"), []);
-      if (of.length) traces.push({ ...place(of), name: state, marker: { size: 10, symbol: SYMBOLS[state], color: coloured ? colour(state) : "#ffffff", line: { width: 2, color: coloured ? colour(state) : "#ffffff" } } });
+      if (of.length) traces.push({ ...place(of), name: state, marker: { size: 10, symbol: SYMBOLS[state], color: coloured ? colour(state) : OVER[state] ?? OVER.failed, line: { width: 2.2, color: coloured ? colour(state) : OVER[state] ?? OVER.failed } } });
     }
     const next = this.slice?.next;
     if (next && next.params[x] !== undefined) {

@@ -432,7 +432,9 @@ class TestSearchAndQuality:
         record.one(state=TrialState.DIVERGED)
         record.start(record.propose(2, mode="diversify")[0])
         page = ready(browser, "/studies/jump/search")
-        expect(page.locator("#map .legendtext")).to_have_text(["finished", "diverged", "running", "queued"])
+        expect(page.locator("#map .legendtext")).to_have_text(
+            ["finished", "diverged", "running", "queued", "next proposal"]
+        )
         expect(page.locator("#why .legendtext")).to_have_text(["explore", "diversify"])
         page.select_option("#map-x", "alpha")
         page.select_option("#map-y", "omega_x")
@@ -457,13 +459,13 @@ class TestSearchAndQuality:
         expect(page.locator(f"#lines polyline[stroke='{chosen}']")).to_have_count(1)
 
 
-class TestWorkers:
+class TestCluster:
     def test_they_come_and_go(self, browser, record):
-        page = ready(browser, "/workers")
+        page = ready(browser, "/cluster")
         expect(page.locator("#idle")).to_be_visible()
         (trial,) = record.propose()
         attempt = record.start(trial)
-        expect(page.locator("#workers tbody")).to_contain_text("default-0 on runner (process 99)")
+        expect(page.locator("#workers tbody")).to_contain_text("default-0runner (process 99)")
         record.finish(attempt, trial, value=0.5, features=(0.1,))
         expect(page.locator("#idle")).to_be_visible()
         browser.assert_calm()
@@ -475,7 +477,7 @@ class TestPictures:
         page = ready(browser, "/studies/jump")
         expect(page.locator("#value-chart .points path")).to_have_count(1)
         with page.expect_download() as download:
-            page.click("[data-save=svg] >> nth=-1")
+            page.click("[aria-labelledby=h-value] [data-save=svg]")
         assert download.value.suggested_filename == "jump-value.svg"
         assert b"<svg" in download.value.path().read_bytes()[:200]
         browser.assert_calm()
