@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,8 +10,9 @@ from search import BadSetting as BadStrategySetting
 from search import SearchError, UnknownStrategy, strategies
 from search.registry import strategy_class
 from services.located_yaml import Path as Place
+from services.problems import BadStudy, Problem
 from services.spec import ResolvedSpec, StudySpec
-from services.spec_file import BadStudy, Draft, Problem, draft, read_draft
+from services.spec_file import Draft, draft, read_draft
 from services.translate import make_strategy_of, resolve
 from workers.contracts import BadJob, BadSetting, Task, TaskInfo
 from workers.registry import load_task
@@ -130,5 +132,7 @@ def _ask_strategy(read: Draft, spec: ResolvedSpec, problems: Problems) -> None:
 
 def _place(error: BadSetting) -> Place:
     """Where in a study file a task's complaint belongs."""
-    section = tuple(error.section.split("."))
-    return (*section, *error.field.split(".")) if error.field else section
+    section: Place = tuple(error.section.split("."))
+    parts = re.findall(r"[^.\[\]]+", error.field)
+    # `hidden[0]` is the first entry of the list `hidden`, which has a line of its own
+    return (*section, *(int(part) if part.isdigit() else part for part in parts))

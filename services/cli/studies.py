@@ -66,6 +66,7 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         "note": row.reason or None,
         "task": row.spec.get("task", {}).get("name"),
         "strategy": search.get("strategy"),
+        "profile": row.spec.get("profile"),
         "trials": f"{done_of(row)} ({', '.join(f'{count(n)} {state}' for state, n in sorted(row.counts.items()) if n)})"
         if row.counts
         else done_of(row),

@@ -17,6 +17,7 @@ from services.cli.tables import parent_of
 from services.coordinator import Coordinator
 from services.dispatch.inline import InlineDispatcher
 from services.lineage import line_of, lineage_words
+from services.problems import BadStudy
 from services.proposing import InlineStrategist, Proposer
 from services.spec_check import parse_study
 from services.states import StudyState, TrialState
@@ -189,8 +190,6 @@ def test_the_line_of_a_trial_is_told_from_its_beginning():
 
 @pytest.mark.parametrize("strategy", ["cmfbo", "boca", "top_k", "tpe_hyperband"])
 def test_a_strategy_that_chooses_difficulties_needs_a_task_that_has_one(strategy):
-    from services.spec_file import BadStudy
-
     text = f"name: s\ntask: high_jump\nsearch:\n  strategy: {strategy}\n  cost: 1000\n"
     with pytest.raises(BadStudy) as refusal:
         parse_study(text, name="s.yaml")
