@@ -46,19 +46,19 @@ class Check:
     Args:
         name: which.
         found: the largest value of the jump.
-        bound: what it may be at most.
+        bound: what it may be at most; None for a figure that is told and decides nothing.
         unit: of both.
     """
 
     name: str
     found: float
-    bound: float
+    bound: float | None
     unit: str
 
     @property
     def passed(self) -> bool:
         """Whether the jump keeps to the bound; NaN does not."""
-        return bool(self.found <= self.bound)
+        return self.bound is None or bool(self.found <= self.bound)
 
 
 @dataclass(frozen=True, slots=True)
