@@ -87,6 +87,18 @@ class Arena:
             "COLUMNS": "200",
         }
 
+    def false_clock(self):
+        """Let every process of this arena see the wall clock that the file `clock` says; monotonic time stays true."""
+        library = next(iter(sorted(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"))))
+        self.clock = self.folder / "clock"
+        self.clock.write_text("+0\n", encoding="ascii")
+        self.environment |= {
+            "LD_PRELOAD": str(library),
+            "FAKETIME_TIMESTAMP_FILE": str(self.clock),
+            "FAKETIME_NO_CACHE": "1",
+            "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+        }
+
     def intend(self, **plan):
         """Have a fault happen at an exact point; see `hooks/sitecustomize.py`."""
         fresh = self.plan.with_suffix(".new")
