@@ -14,7 +14,7 @@ import typer
 from services.admission import admit, find, refuse_changes
 from services.cli.driving import drive_here
 from services.cli.findings import report
-from services.cli.session import AsJson, Db, print_json, say, session
+from services.cli.session import AsJson, Db, RayAddress, print_json, say, session
 from services.errors import BadInput, NameTaken
 from services.settings import find_settings
 from services.spec_file import BadStudy, read_draft
@@ -23,9 +23,6 @@ from services.states import StudyState
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Study file (YAML); `halma schema` describes it.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="FIELD=VALUE", help="Override a field, e.g. search.trials=4.")
-]
-RayAddress = Annotated[
-    str | None, typer.Option("--ray", metavar="ADDRESS", help="Join this Ray cluster instead of starting a local Ray.")
 ]
 NewName = Annotated[str | None, typer.Option("--name", help="Name of the study, instead of the one in the file.")]
 
@@ -36,6 +33,7 @@ def run(
     name: NewName = None,
     inline: Annotated[bool, typer.Option("--inline", help="Run trials in this process, without Ray.")] = False,
     cores: Annotated[int | None, typer.Option("--cores", min=1, help="Cores to use; default: all.")] = None,
+    ray: RayAddress = None,
     db: Db = None,
 ) -> None:
     """Run a study here: start it, resume it where it was interrupted, or show it where it is finished."""
@@ -52,7 +50,7 @@ def run(
             if row.state is StudyState.COMPLETE:
                 report(opened, row)
                 return
-        drive_here(opened, spec.name, inline=inline, take_over=False, cores=cores)
+        drive_here(opened, spec.name, inline=inline, take_over=False, cores=cores, ray_address=ray)
 
 
 def submit(
@@ -93,7 +91,11 @@ def serve(
     ] = None,
     pools: Annotated[
         list[str] | None,
-        typer.Option("--pool", metavar="NAME=CORES", help="A worker pool; default: default=all cores."),
+        typer.Option(
+            "--pool",
+            metavar="NAME=CORES",
+            help="A worker pool; default: default=all cores, or the pools of the cluster as its hosts come and go.",
+        ),
     ] = None,
     hosts: Annotated[
         list[str] | None, typer.Option("--allow-host", help="A further name under which browsers reach the service.")
@@ -105,7 +107,7 @@ def serve(
     from services import serving  # noqa: PLC0415 - the web framework takes a second to import
     from services.ray_environment import prepare  # noqa: PLC0415 - as above
 
-    sizes = read_pools(pools or []) or {"default": os.cpu_count() or 1}
+    sizes = read_pools(pools or []) or ({"default": os.cpu_count() or 1} if ray is None else None)
     settings = find_settings(db)
     listen = serving.PORT if port is None else port
 
