@@ -215,6 +215,7 @@ def _common(problem: HighJumpProblem, trained: Trained) -> dict[str, JSON]:
         "approach": problem.state.approach,
         "distance": problem.state.distance,
         "policy_sha256": trained.policy.sha256(),
+        **trained.lineage,
     }
 
 
