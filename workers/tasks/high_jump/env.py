@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.physics.athlete import COORDINATES
-from workers.physics.world import FRAME, Contacts, World
+from workers.physics.world import FRAME, GRAVITY, Contacts, World
 from workers.poses.model import PoseModel
 from workers.replay import Recorder
 from workers.tasks.high_jump import rules, takeoff
@@ -39,6 +39,8 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         mat_height: m.
         recorder: keeps the frames of each episode, from the last `reset` on.
         poses: a pose model to act through.
+        gravity: m/s^2.
+        landing: on which part the athlete may land, `any` or `feet`.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium declares it so
@@ -51,16 +53,19 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         mat_height: float = 0.3,
         recorder: Recorder | None = None,
         poses: PoseModel | None = None,
+        gravity: float = GRAVITY,
+        landing: rules.Landing = "any",
     ) -> None:
         self.state = state
         self.recorder = recorder
-        self.world = World(mat_height, measure_torque=recorder is not None)
+        self.world = World(mat_height, measure_torque=recorder is not None, gravity=gravity)
         self._unused = True
         self._frames = round(1 / (control_rate * FRAME))
         self._reference = takeoff.push_off_pose()
         self._start = takeoff.start_state(self.world, state)
         athlete = self.world.athlete
-        self._rules = rules.Rules(foot=athlete.link[takeoff.TAKE_OFF_FOOT], head=athlete.link["neck"])
+        feet = frozenset({athlete.link["left_ankle"], athlete.link["right_ankle"]}) if landing == "feet" else None
+        self._rules = rules.Rules(foot=athlete.link[takeoff.TAKE_OFF_FOOT], head=athlete.link["neck"], may_land_on=feet)
         size = 4 + 13 * len(athlete.names)
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64)
         self._poses = poses
@@ -130,7 +135,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             offset=self._offset / self._actions,
             bar=self.world.bar,
         )
-        metrics = {f"end_{name}": float(verdict == name) for name in ("wall", "ground", "time")}
+        metrics = {f"end_{name}": float(verdict == name) for name in ("wall", "ground", "time", "fall")}
         return observation, reward, True, False, {"success": landed, "verdict": verdict, "metrics": metrics}
 
     def _aim(self, action: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

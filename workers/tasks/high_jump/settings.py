@@ -19,9 +19,11 @@ from workers.learning.settings import (
     refuse_unknown,
     setting,
 )
+from workers.physics.world import GRAVITY
 from workers.poses.model import PoseModel
 from workers.tasks.high_jump import takeoff
 from workers.tasks.high_jump.behaviour import FeatureName
+from workers.tasks.high_jump.rules import Landing
 from workers.tasks.high_jump.takeoff import Formulation, TakeOff
 
 SECTION = "task.settings"
@@ -53,6 +55,8 @@ class HighJumpSettings:
         control_rate: actions a second, a divisor of 120.
         mat_height: thickness of the mat, m.
         actions: `offset` from the push-off pose, or `pose`: a latent vector of a pose model, and an offset.
+        gravity: m/s^2; 3.711 on Mars.
+        landing: on which part the athlete may land, `any` or `feet`.
         poses: file of the pose model, of `halma poses train`; None: the model of the packaged clips.
     """
 
@@ -72,6 +76,8 @@ class HighJumpSettings:
     control_rate: int = setting(10, Rule("int", 1, 120))
     mat_height: float = setting(0.3, Rule("float", 0.05, 1.0))
     actions: Actions = dataclasses.field(default="offset", metadata={"rule": Rule("str", choices=("offset", "pose"))})
+    gravity: float = setting(GRAVITY, Rule("float", 0.5, 30.0))
+    landing: Landing = dataclasses.field(default="any", metadata={"rule": Rule("str", choices=("any", "feet"))})
     poses: str | None = setting(None, Rule("path", optional=True))
 
     @classmethod

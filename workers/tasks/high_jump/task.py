@@ -56,6 +56,8 @@ class HighJumpProblem:
             mat_height=s.mat_height,
             recorder=recorder,
             poses=s.pose_model(),
+            gravity=s.gravity,
+            landing=s.landing,
         )
 
     def curriculum(self) -> Curriculum:
