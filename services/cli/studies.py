@@ -9,6 +9,7 @@ import typer
 
 from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
+from services.cli.findings import findings_table
 from services.cli.session import AsJson, Db, Session, console, print_json, print_json_line, say, session
 from services.cli.tables import done_of, fields_table, state_text, studies_table, trials_table
 from services.cli.words import count, duration, several, state_words, value_of
@@ -80,6 +81,10 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
     }
     console().print(fields_table({name: value for name, value in fields.items() if value is not None}))
     say()
+    if found:
+        screen = console()
+        screen.print(findings_table(row, found, screen.width))
+        say()
     say(f"Next: {what_next(row)}")
 
 
