@@ -213,7 +213,8 @@ def behaviour(study: StudyRow, one: TrialRow) -> list[dict[str, Any]]:
     names = list(declared.get("names", ()))
     names += [f"feature {index}" for index in range(len(names), len(features))]
     return [
-        {"name": name, "value": value, "unit": declared.get("unit", "")}
+        # The coordinates of a rotation are those of a quaternion; its unit is that of the angle between two.
+        {"name": name, "value": value, "unit": "" if declared.get("kind") == "rotation" else declared.get("unit", "")}
         for name, value in zip(names, features, strict=False)
     ]
 

@@ -18,7 +18,7 @@ sheet.replaceSync(`
   .clock { min-width: 4.2em; text-align: right; font-variant-numeric: tabular-nums; }
   :host([led]) .bar { display: none; }
   :host([led]) .view { height: 100%; }
-  @container (max-width: 420px) { .home, .bar-button { display: none; } }
+  @container (max-width: 420px) { .home, .bar-button { display: none; } .bar { gap: 5px; } input[type=range] { min-width: 30px; } button, select { padding: 2px 6px; } .clock { min-width: 3.4em; } }
 `);
 
 const FRAME = /* html */ `
