@@ -1,4 +1,4 @@
-"""Every page over studies that the product itself has run in this session: a search for strategies, and one for quality.
+"""Every page over studies that the product itself has run in this session: one for strategies, one for quality.
 
 The server is shared, so no test here changes a study.
 """
@@ -185,8 +185,9 @@ def test_a_reference_clip_stands_beside_a_trial_in_step(viewer, tmp_path):
 
 
 PAGES = [
-    "/", "/submit", "/cluster", "/studies/jumps", "/studies/jumps/search", "/studies/hops/search", "/studies/hops/quality",
-    "/studies/jumps/trials", "/studies/jumps/events", "/studies/jumps/file", "/studies/jumps/trials/1", "/studies/nobody",
+    "/", "/submit", "/cluster", "/studies/jumps", "/studies/jumps/search", "/studies/hops/search",
+    "/studies/hops/quality", "/studies/jumps/trials", "/studies/jumps/events", "/studies/jumps/file",
+    "/studies/jumps/trials/1", "/studies/nobody",
 ]  # fmt: skip
 
 

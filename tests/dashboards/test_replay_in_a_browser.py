@@ -109,7 +109,8 @@ def test_contact_forces_are_arrows_where_the_body_is_touched(browser, service):
             const touched = [];
             for (let body = 0; body < bodies; body++) {
               const at = 3 * (frame * bodies + body);
-              if (Math.hypot(...arrays.contact_force.subarray(at, at + 3)) > 0.02 * replay.stage.weight) touched.push(body);
+              const force = Math.hypot(...arrays.contact_force.subarray(at, at + 3));
+              if (force > 0.02 * replay.stage.weight) touched.push(body);
             }
             replay.seek(frame * step);
             const shown = replay.stage.arrows.flatMap((arrow, body) => (arrow.visible ? [body] : []));
