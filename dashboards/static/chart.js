@@ -26,6 +26,12 @@ export const SYMBOLS = {
 // Okabe and Ito's palette, in an order whose neighbours differ in lightness too.
 export const SERIES = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
 
+// An axis that counts: no tick between two whole numbers.
+export function counted(values) {
+  const span = Math.max(...values) - Math.min(...values);
+  return { tickformat: "d", ...(span <= 10 ? { dtick: 1 } : {}) };
+}
+
 function axis(title, more = {}) {
   return {
     title: { text: title, standoff: 8, font: { size: 12, color: colour("soft") } },
