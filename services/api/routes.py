@@ -9,6 +9,7 @@ from typing import Annotated
 import pydantic_core
 from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
+from pydantic import Field
 from sqlalchemy.engine import make_url
 
 from services.api.errors import NotHere
@@ -32,9 +33,11 @@ from services.api.models import (
     TrialOut,
     TrialPage,
     TrialTable,
+    TrialWindow,
 )
 from services.api.service import Uses, halma_version
 from services.api.tables import csv_lines, table
+from services.api.windows import matching, ordered
 from services.errors import BadInput
 from services.states import TrialState
 from services.store.port import TrialRow
@@ -149,6 +152,35 @@ def trials(
     more = len(rows) > limit
     rows = rows[:limit]
     return TrialPage(trials=[TrialOut.of(trial) for trial in rows], next=rows[-1].number if more else None)
+
+
+@router.get("/studies/{study}/window", tags=["trials"])
+def trial_window(
+    service: Uses,
+    study: Study,
+    sort: Annotated[
+        str, Query(max_length=200, description="a field, with - before it descending; e.g. -value, params.rate")
+    ] = "number",
+    state: Annotated[list[TrialState] | None, Query(description="only trials in these states")] = None,
+    where: Annotated[
+        list[Annotated[str, Field(max_length=300)]] | None,
+        Query(max_length=16, description="FIELD OPERATOR VALUE, all of which must hold; e.g. value>=0.5, message~NaN"),
+    ] = None,
+    offset: Annotated[int, Query(ge=0, le=LARGEST_ID, description="rows before the first one wanted")] = 0,
+    limit: Limit = 100,
+) -> TrialWindow:
+    """The rows of a table that a screen shows: filtered and sorted here, so that 50,000 trials stay where they are."""
+    cursor, history = service.store.last_event(), service.store.history_id()
+    trials = service.trials.all_trials(service.store.study(study))
+    found = ordered(matching(trials, state, where or []), sort)
+    return TrialWindow(
+        cursor=cursor,
+        history=history,
+        count=len(trials),
+        matched=len(found),
+        offset=offset,
+        trials=[TrialOut.of(trial) for trial in found[offset : offset + limit]],
+    )
 
 
 @router.get("/studies/{study}/table", tags=["trials"], response_model=TrialTable)
