@@ -45,9 +45,11 @@ from services.store.port import TrialRow
 ERRORS: dict[int | str, dict[str, object]] = {
     status: {"model": ErrorOut, "description": text}
     for status, text in {
+        400: "the body is no text of the kind it says it is",
         401: "no token or session, or a wrong one",
         404: "no such study, trial or artifact",
         409: "the state of the study doesn't allow this",
+        413: "the request is too large",
         422: "the request or the study file is wrong",
         503: "the trial database can't be reached",
     }.items()
@@ -247,7 +249,11 @@ def artifacts(service: Uses, study: Study, number: Number) -> dict[str, Artifact
     "/studies/{study}/trials/{number}/artifacts/{name}",
     tags=["artifacts"],
     response_class=Response,
-    responses={200: {"content": {"application/octet-stream": {}}}, 304: {"description": "you have it"}},
+    responses={
+        200: {"content": {kind: {} for kind in ("application/octet-stream", *MEDIA_TYPES.values())}},
+        304: {"description": "you have it"},
+        410: {"model": ErrorOut, "description": "the file is damaged or gone"},
+    },
 )
 def artifact(
     service: Uses, request: Request, study: Study, number: Number, name: Annotated[str, Path(max_length=255)]
