@@ -1,7 +1,7 @@
 """Requests made from the API's own description, right ones and wrong ones: no answer may break the description.
 
-Each operation of the OpenAPI description gets generated requests (schemathesis), half of them within the description and
-half not; where a study or a trial is named, every second request names one that exists. An answer must not be a
+Each operation of the OpenAPI description gets generated requests (schemathesis), half of them within the description
+and half not; where a study or a trial is named, every second request names one that exists. An answer must not be a
 5xx, and its status, type, headers and body must be what the description says.
 
     python benchmarks/fuzz_api.py [--requests 6000] [--seed 1]
@@ -120,7 +120,7 @@ def _one(operation: Any, mode: GenerationMode, each: int, chance: int, headers: 
         verbosity=Verbosity.quiet,
     )
     @given(requests, st.booleans(), st.sampled_from(NAMES), st.integers(0, 14), st.sampled_from(FILES))
-    def ask(case: Any, known: bool, study: str, number: int, file: str) -> None:  # noqa: FBT001
+    def ask(case: Any, known: bool, study: str, number: int, file: str) -> None:
         nonlocal count
         if known:
             for name, value in {"study": study, "number": number, "name": file}.items():

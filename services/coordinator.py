@@ -207,7 +207,7 @@ class Coordinator:
                 rng_key=asked.rng_key,
                 seconds=answer.seconds,
                 trials=trials,
-                info={"settings": drive.spec.search.settings},
+                info={"settings": drive.spec.search.settings, "target_cost": asked.target_cost},
             )
             return [lambda: self._opened(drive, rows)]
 

@@ -16,8 +16,9 @@ from services.cli.driving import drive_here
 from services.cli.findings import report
 from services.cli.session import AsJson, Db, print_json, say, session
 from services.errors import BadInput, NameTaken
+from services.problems import BadStudy
 from services.settings import find_settings
-from services.spec_file import BadStudy, read_draft
+from services.spec_file import read_draft
 from services.states import StudyState
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Study file (YAML); `halma schema` describes it.")]
@@ -27,11 +28,15 @@ Overrides = Annotated[
 RayAddress = Annotated[
     str | None, typer.Option("--ray", metavar="ADDRESS", help="Join this Ray cluster instead of starting a local Ray.")
 ]
+Profile = Annotated[
+    str | None, typer.Option("--profile", metavar="NAME", help="Which of the file's profiles to run, e.g. quick.")
+]
 NewName = Annotated[str | None, typer.Option("--name", help="Name of the study, instead of the one in the file.")]
 
 
 def run(
     file: File,
+    profile: Profile = None,
     overrides: Overrides = None,
     name: NewName = None,
     inline: Annotated[bool, typer.Option("--inline", help="Run trials in this process, without Ray.")] = False,
@@ -41,7 +46,7 @@ def run(
     """Run a study here: start it, resume it where it was interrupted, or show it where it is finished."""
     from services.spec_check import check  # noqa: PLC0415 - the search and the task, which take seconds to import
 
-    read = read_draft(file, _with_name(overrides, name))
+    read = read_draft(file, _overridden_by(overrides, name, profile))
     spec = check(read)
     with session(db) as opened:
         row = find(opened.store, spec.name)
@@ -57,6 +62,7 @@ def run(
 
 def submit(
     file: File,
+    profile: Profile = None,
     overrides: Overrides = None,
     name: NewName = None,
     server: Annotated[
@@ -68,7 +74,7 @@ def submit(
     from services.client import Client  # noqa: PLC0415 - HTTP, which other commands don't speak
 
     settings = find_settings()
-    given = _with_name(overrides, name)
+    given = _overridden_by(overrides, name, profile)
     # What can be told from the form alone is told here, also where no service runs; the rest is the service's to check.
     read = read_draft(file, given)
     if read.problems:
@@ -123,8 +129,13 @@ def serve(
     )
 
 
-def _with_name(overrides: list[str] | None, name: str | None) -> list[str]:
-    return [*(overrides or []), *([f"name={json.dumps(name)}"] if name is not None else [])]
+def _overridden_by(overrides: list[str] | None, name: str | None, profile: str | None) -> list[str]:
+    """All that the command line says of a study's fields, as overrides."""
+    return [
+        *(overrides or []),
+        *([f"name={json.dumps(name)}"] if name is not None else []),
+        *([f"profile={profile}"] if profile is not None else []),
+    ]
 
 
 def read_pools(texts: list[str]) -> dict[str, int]:

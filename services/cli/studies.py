@@ -9,12 +9,14 @@ import typer
 
 from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
+from services.cli.findings import findings_table
 from services.cli.matters import matters_of, show_matters
 from services.cli.session import AsJson, Db, Session, console, print_json, print_json_line, say, session
 from services.cli.tables import done_of, fields_table, state_text, studies_table, trials_table
 from services.cli.words import count, duration, several, state_words, value_of
 from services.driver import this_process
 from services.errors import BadInput, Refused, StudyDriven, WrongState
+from services.lineage import lineage_words
 from services.listings import event_json, study_json, trial_json
 from services.report import behaviour_of, distinct_trials, units_of
 from services.states import LIVE_STUDY, OBSERVED_TRIAL, StudyState, TrialState
@@ -60,6 +62,7 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         return
     placed = [trial for trial in every if trial.position is not None]
     found = distinct_trials(row, sorted(placed, key=lambda trial: trial.position or 0))
+    lineage = lineage_words(every)
     search = row.spec.get("search", {})
     fields = {
         "study": row.name,
@@ -67,18 +70,24 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         "note": row.reason or None,
         "task": row.spec.get("task", {}).get("name"),
         "strategy": search.get("strategy"),
+        "profile": row.spec.get("profile"),
         "trials": f"{done_of(row)} ({', '.join(f'{count(n)} {state}' for state, n in sorted(row.counts.items()) if n)})"
         if row.counts
         else done_of(row),
         "best value": None if row.best_value is None else value_of(row.best_value),
         "distinct": several(len(found), "strategy") if behaviour_of(row) else None,
         "cost": f"{count(row.samples)} samples, {duration(row.seconds)} of training",
+        "warm starts": lineage,
         "driven by": f"process {row.driver.pid} on {row.driver.host}" if row.driver else None,
         "seed": str(row.seed),
         "created": row.created_at.astimezone().strftime("%Y-%m-%d %H:%M:%S"),
         "finished": row.finished_at.astimezone().strftime("%Y-%m-%d %H:%M:%S") if row.finished_at else None,
     }
     console().print(fields_table({name: value for name, value in fields.items() if value is not None}))
+    if found:
+        say()
+        screen = console()
+        screen.print(findings_table(row, found, screen.width))
     show_matters(matters)
     say()
     say(f"Next: {what_next(row)}")
