@@ -66,11 +66,12 @@ export class Chart {
     new ResizeObserver(() => { if (window.Plotly && at.data) window.Plotly.Plots.resize(at); }).observe(at);
   }
 
-  // Many changes in one frame draw once; one that comes while drawing draws once more.
+  // Many changes in one frame draw once; one that comes while drawing draws once more. The frame is painted first:
+  // what is new in words is on the screen before a chart of thousands of marks is drawn again.
   draw() {
     if (this.#queued) return;
     this.#queued = true;
-    requestAnimationFrame(() => this.#now());
+    requestAnimationFrame(() => setTimeout(() => this.#now(), 0));
   }
 
   async #now() {
