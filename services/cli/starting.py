@@ -14,7 +14,7 @@ import typer
 from services.admission import admit, find, refuse_changes
 from services.cli.driving import drive_here
 from services.cli.findings import report
-from services.cli.session import AsJson, Db, print_json, say, session
+from services.cli.session import AsJson, Db, RayAddress, print_json, say, session
 from services.errors import BadInput, NameTaken
 from services.problems import BadStudy
 from services.settings import find_settings
@@ -24,9 +24,6 @@ from services.states import StudyState
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Study file (YAML); `halma schema` describes it.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="FIELD=VALUE", help="Override a field, e.g. search.trials=4.")
-]
-RayAddress = Annotated[
-    str | None, typer.Option("--ray", metavar="ADDRESS", help="Join this Ray cluster instead of starting a local Ray.")
 ]
 Profile = Annotated[
     str | None, typer.Option("--profile", metavar="NAME", help="Which of the file's profiles to run, e.g. quick.")
@@ -41,6 +38,7 @@ def run(
     name: NewName = None,
     inline: Annotated[bool, typer.Option("--inline", help="Run trials in this process, without Ray.")] = False,
     cores: Annotated[int | None, typer.Option("--cores", min=1, help="Cores to use; default: all.")] = None,
+    ray: RayAddress = None,
     db: Db = None,
 ) -> None:
     """Run a study here: start it, resume it where it was interrupted, or show it where it is finished."""
@@ -57,7 +55,7 @@ def run(
             if row.state is StudyState.COMPLETE:
                 report(opened, row)
                 return
-        drive_here(opened, spec.name, inline=inline, take_over=False, cores=cores)
+        drive_here(opened, spec.name, inline=inline, take_over=False, cores=cores, ray_address=ray)
 
 
 def submit(
@@ -99,7 +97,11 @@ def serve(
     ] = None,
     pools: Annotated[
         list[str] | None,
-        typer.Option("--pool", metavar="NAME=CORES", help="A worker pool; default: default=all cores."),
+        typer.Option(
+            "--pool",
+            metavar="NAME=CORES",
+            help="A worker pool; default: default=all cores, or the pools of the cluster as its hosts come and go.",
+        ),
     ] = None,
     hosts: Annotated[
         list[str] | None, typer.Option("--allow-host", help="A further name under which browsers reach the service.")
@@ -111,7 +113,7 @@ def serve(
     from services import serving  # noqa: PLC0415 - the web framework takes a second to import
     from services.ray_environment import prepare  # noqa: PLC0415 - as above
 
-    sizes = read_pools(pools or []) or {"default": os.cpu_count() or 1}
+    sizes = read_pools(pools or []) or ({"default": os.cpu_count() or 1} if ray is None else None)
     settings = find_settings(db)
     listen = serving.PORT if port is None else port
 

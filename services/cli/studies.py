@@ -10,7 +10,7 @@ import typer
 from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
 from services.cli.findings import findings_table
-from services.cli.session import AsJson, Db, Session, console, print_json, print_json_line, say, session
+from services.cli.session import AsJson, Db, RayAddress, Session, console, print_json, print_json_line, say, session
 from services.cli.tables import done_of, fields_table, state_text, studies_table, trials_table
 from services.cli.words import count, duration, several, state_words, value_of
 from services.driver import this_process
@@ -216,6 +216,7 @@ def resume(
     take_over: Annotated[
         bool, typer.Option("--take-over", help="Take the study from a driver that seems to live.")
     ] = False,
+    ray: RayAddress = None,
     db: Db = None,
 ) -> None:
     """Go on with a study that was paused, interrupted, cancelled or extended."""
@@ -227,4 +228,4 @@ def resume(
                 f"resume: expected a study with budget left, found {name} complete after {several(done, 'trial')}; "
                 f"look at it with `halma show {name}`, or give it more with `halma extend {name} --trials 10`"
             )
-        drive_here(opened, name, inline=inline, take_over=take_over)
+        drive_here(opened, name, inline=inline, take_over=take_over, ray_address=ray)
