@@ -186,10 +186,8 @@ class CMFBO(Strategy):
         mean = model.posterior(rows, z)[0] if len(rows) else np.zeros(0)
         done = model.gp.X[model.gp.X[:, -1] >= z - 1e-9].copy()
         done[:, -1] = z
-        if len(done):
-            best = float(model.gp.posterior(done)[0].max())
-        else:
-            best = float(mean.max()) - 3.0 if len(rows) else 0.0
+        bar = float(mean.max()) - 3.0 if len(rows) else 0.0
+        best = float(model.gp.posterior(done)[0].max()) if len(done) else bar
         believed = rows[np.argsort(-mean, kind="stable")[:3]]
         around = np.unique(np.concatenate([best_points(record, 3), believed]), axis=0)
 
