@@ -1,6 +1,6 @@
 # Everything a person types here explains itself: make help
 .DEFAULT_GOAL := help
-.PHONY: help setup run test check format bench bench-search clean
+.PHONY: help setup run test chaos check format bench bench-search clean
 
 PYTHON ?= python3.11
 BIN := .venv/bin
@@ -23,6 +23,9 @@ run: $(STAMP)  ## the main job: search for different ways to jump over a bar, th
 
 test: $(STAMP)  ## all tests
 	$(BIN)/pytest
+
+chaos: $(STAMP)  ## break studies for an hour, and print what came of it (options in CHAOS=...; needs root)
+	PYTHONPATH=tests:. $(BIN)/python tests/chaos/campaign.py $(CHAOS)
 
 check: $(STAMP)  ## lint, format, types, import contracts
 	$(BIN)/ruff check .

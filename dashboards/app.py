@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ def create_app(
     submit: Submit | None = None,
     on_change: Callable[[], None] | None = None,
     hosts: Collection[str] = (),
+    pools: Mapping[str, int] | None = None,
 ) -> FastAPI:
     """API and pages on one port.
 
@@ -49,6 +50,7 @@ def create_app(
         submit: takes study files; None for a server that only shows.
         on_change: called after something was asked for (a study submitted, paused, ...).
         hosts: further host names of this service.
+        pools: cores by worker pool, where they are known.
     """
     gate = Gatekeeper(token)
     app = create_api(
@@ -59,6 +61,7 @@ def create_app(
         on_change=on_change,
         hosts=hosts,
         open_paths=login.open_paths(),
+        pools=pools,
     )
     app.state.gate = gate
     app.state.throttle = LoginThrottle()

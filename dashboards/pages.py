@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Request
 from fastapi.responses import RedirectResponse, Response
 
+from dashboards import words
 from dashboards.rendering import page, static_root
 from services.api.models import StudyOut, StudySummary
 from services.api.routes import LARGEST_ID
@@ -22,6 +23,8 @@ router = APIRouter(include_in_schema=False)
 
 Study = Annotated[str, Path(max_length=255)]
 Number = Annotated[int, Path(ge=0, le=LARGEST_ID)]
+TELLING = 20
+"""How many trials are looked at to see what their value is called."""
 
 
 def position(service: Service) -> dict[str, Any]:
@@ -47,8 +50,9 @@ def studies(request: Request, service: Uses) -> Response:
     return page(request, "studies.html", data=data, can_submit=service.submit is not None)
 
 
+@router.get("/cluster")
 @router.get("/workers")
-def workers(request: Request, service: Uses) -> Response:
+def cluster(request: Request, service: Uses) -> Response:
     """Who is doing what, and what waits."""
     return page(request, "workers.html", data=position(service))
 
@@ -56,19 +60,22 @@ def workers(request: Request, service: Uses) -> Response:
 @router.get("/submit")
 def submit(request: Request, service: Uses, study: str = "") -> Response:
     """Paste or upload a study file; with `study`, one like it."""
-    text = as_yaml(service.store.study(study)) if study else ""
+    text = ""
+    if study:
+        row = service.store.study(study)
+        text = as_yaml(row, f"{row.name}-2")
     return page(request, "submit.html", text=text, can_submit=service.submit is not None)
 
 
-def as_yaml(study: StudyRow) -> str:
-    """A study as the file that asks for it, under a new name."""
+def as_yaml(study: StudyRow, name: str) -> str:
+    """A study as the file that asks for it, under a name."""
     import yaml  # noqa: PLC0415  (this page only)
 
     from services.spec import StudySpec  # noqa: PLC0415
 
     asked = {name: given(study.spec[name]) for name in StudySpec.model_fields if name in study.spec}
     asked = {name: value for name, value in asked.items() if value not in (None, {})}
-    asked["name"] = f"{study.name}-2"
+    asked["name"] = name
     text: str = yaml.safe_dump(asked, sort_keys=False, allow_unicode=True)
     return text
 
@@ -86,7 +93,22 @@ def study_view(request: Request, service: Service, name: str, view: str) -> Resp
     row = service.store.study(name)
     data["study"] = StudyOut.of(row)
     data["view"] = view
-    return page(request, "study.html", data=data, study=row, view=view, can_submit=service.submit is not None)
+    data["value"] = value_of(service, row)
+    text = as_yaml(row, row.name) if view == "file" else ""
+    return page(request, "study.html", data=data, study=row, view=view, text=text)
+
+
+def value_of(service: Service, row: StudyRow) -> dict[str, str]:
+    """What a study's value is called, its unit, and both as the title of an axis.
+
+    A spec doesn't say; a named result that equals the value in the trials that finished first does.
+    """
+    first = service.store.trials(row.id, states=[TrialState.COMPLETE], limit=TELLING)
+    complete = [trial for trial in first if trial.value is not None]
+    told = (name for name in words.UNIT_OF_VALUE if complete and all(t.details.get(name) == t.value for t in complete))
+    name = next(told, "value")
+    unit = words.UNIT_OF_VALUE.get(name, "")
+    return {"name": name, "unit": unit, "title": f"{name} ({unit})" if unit else name}
 
 
 @router.get("/studies/{study}")
@@ -101,10 +123,16 @@ def trials(request: Request, service: Uses, study: Study) -> Response:
     return study_view(request, service, study, "trials")
 
 
-@router.get("/studies/{study}/parameters")
-def parameters(request: Request, service: Uses, study: Study) -> Response:
-    """Parameters against outcomes."""
-    return study_view(request, service, study, "parameters")
+@router.get("/studies/{study}/search")
+def search(request: Request, service: Uses, study: Study) -> Response:
+    """What the search believes, and why it asked."""
+    return study_view(request, service, study, "search")
+
+
+@router.get("/studies/{study}/quality")
+def quality(request: Request, service: Uses, study: Study) -> Response:
+    """How good, at what cost, and what made the difference."""
+    return study_view(request, service, study, "quality")
 
 
 @router.get("/studies/{study}/events")

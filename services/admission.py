@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from services.errors import BadInput, NameTaken, UnknownStudy
+from services.problems import found_value
 from services.spec import ResolvedSpec, StudySpec
-from services.spec_file import found_value
 from services.store.port import Store, StudyRow
 
 

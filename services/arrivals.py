@@ -9,7 +9,7 @@ from services.dispatch.port import Beat, Began, Crashed, Ended, Message, Reporte
 from services.drive import Drive, Live
 from services.errors import Refused
 from services.held import Effect, Held
-from services.states import TrialState
+from services.states import AttemptState, TrialState
 from services.store.port import Change, Result, TrialRow
 from workers.contracts import Outcome
 
@@ -102,17 +102,29 @@ class Arrivals:
     def _crashed(self, change: Change, drive: Drive, live: Live, trial: TrialRow, message: Crashed) -> list[Effect]:
         if message.retry and trial.retries < drive.spec.retries.limit:
             row = change.fail(live.attempt, live.token, message.message)
-            return [lambda: self.queued_again(drive, live, row, wait=_backoff(drive, row))]
+            return [lambda: self.queued_again(drive, live, row, wait=_backoff(drive, row.retries))]
         result = Result(TrialState.FAILED, samples=trial.samples, seconds=trial.seconds, message=message.message)
         row = change.finish(live.attempt, live.token, result)
         return [lambda: self._ended(drive, live, row)]
 
     def vanished(self, change: Change, drive: Drive, live: Live, reason: str) -> list[Effect]:
+        """Write that a worker is gone. Its trial is retried, and given up where the last attempts got nowhere.
+
+        An attempt that came further than the one before it was stopped by the world, not by its trial: on hosts that
+        come and go, a long training may be interrupted any number of times.
+        """
         row = change.lose(live.attempt, live.token, reason)
-        if row.retries <= drive.spec.retries.limit:
-            return [lambda: self.queued_again(drive, live, row, wait=_backoff(drive, row))]
-        final = change.give_up(row.id, drive.token, f"its worker was lost {row.retries} times; the last time: {reason}")
+        fruitless = self._fruitless(row, live)
+        if fruitless <= drive.spec.retries.limit:
+            return [lambda: self.queued_again(drive, live, row, wait=_backoff(drive, fruitless))]
+        message = f"its worker was lost {row.retries} times; the last time: {reason}"
+        final = change.give_up(row.id, drive.token, message)
         return [lambda: self._ended(drive, live, final)]
+
+    def _fruitless(self, row: TrialRow, live: Live) -> int:
+        """How many attempts, this one the last, have ended badly since the trial last came further."""
+        since = [each for each in self.held.store.attempts(row.id) if each.first_iteration >= row.iteration]
+        return sum(each.id == live.attempt or each.state in {AttemptState.LOST, AttemptState.FAILED} for each in since)
 
     def _ended(self, drive: Drive, live: Live, row: TrialRow) -> None:
         self.held.forget(drive, live)
@@ -129,9 +141,9 @@ def why_stopping(drive: Drive) -> str:
     return drive.leaving.reason if drive.leaving else "asked to stop"
 
 
-def _backoff(drive: Drive, trial: TrialRow) -> float:
+def _backoff(drive: Drive, retries: int) -> float:
     """Seconds to wait before a retry: doubling, at most a minute."""
-    return min(60.0, drive.spec.retries.backoff_seconds * 2.0 ** max(0, trial.retries - 1))
+    return min(60.0, drive.spec.retries.backoff_seconds * 2.0 ** min(10, max(0, retries - 1)))
 
 
 def _result(message: Ended) -> Result:

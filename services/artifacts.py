@@ -6,6 +6,8 @@ Layout below the root, the same on a folder and on object storage:
     <study id>-<study name>/<trial>/checkpoints/<iteration>-<hash>.checkpoint
     ... .torn                                                     set aside because content and hash differ
 
+    .halma-artifacts                                              the root's identity, so that it is known again
+
 The SHA-256 is part of every name. So a worker that comes back from the dead can't overwrite what its successor
 wrote and a row already names; a file that was cut short is found out without asking the database; and writing
 the same bytes twice is no change.
@@ -25,7 +27,7 @@ from typing import Protocol
 
 import fsspec
 
-from services.errors import ArtifactDamaged, BadInput
+from services.errors import ArtifactDamaged, BadInput, HalmaError, StorageUnavailable
 from services.store.port import ArtifactRow, NewArtifact
 
 KEPT_CHECKPOINTS = 2
@@ -35,6 +37,9 @@ _NAME_DIGITS = 16
 """Hex digits of the hash in an artifact's name: enough to keep writers apart; the row holds all 64."""
 
 _CHECKPOINT = re.compile(r"(?P<iteration>\d{8,})-(?P<sha256>[0-9a-f]{64})\.checkpoint")
+MARKER = ".halma-artifacts"
+"""Holds the identity of a root: the same files under another path, or on another host, have the same."""
+
 _TEMPORARY = ".writing-"
 _TORN = ".torn"
 
@@ -45,14 +50,14 @@ def study_key(study_id: int, name: str) -> str:
 
 
 class ArtifactStore(Protocol):
-    """The port to the files of trials."""
+    """The port to the files of trials. Storage that fails raises `StorageUnavailable`, and nothing stays half done."""
 
     url: str
 
     def put(self, study_key: str, trial: int, name: str, data: bytes) -> NewArtifact:
         """Keep a named result of a trial. It is safe on storage when this returns, and can then be recorded.
 
-        Raises `BadInput` for a name that leaves the trial's folder, and OSError where storage fails (nothing stays).
+        Raises `BadInput` for a name that leaves the trial's folder.
         """
 
     def read(self, artifact: ArtifactRow | NewArtifact) -> bytes:
@@ -68,10 +73,16 @@ class ArtifactStore(Protocol):
         """Remove the checkpoints of a trial that is final, torn ones too."""
 
     def paths(self) -> Iterator[str]:
-        """Paths of all files below the root, in no order, unfinished ones among them."""
+        """Paths of all files below the root but its marker, in no order, unfinished ones among them."""
 
     def remove(self, path: str) -> None:
         """Remove a file; one that is gone already is fine. Raises `BadInput` for a path that leaves the root."""
+
+    def identity(self) -> str:
+        """What tells this root from every other, wherever it is mounted; empty where it has not been marked."""
+
+    def mark(self) -> str:
+        """Give the root an identity where it has none. Returns it."""
 
 
 def open_artifacts(url_or_path: str | Path) -> ArtifactStore:
@@ -112,12 +123,15 @@ class _Files(ABC):
         """Keep a named result of a trial; see the port."""
         digest = hashlib.sha256(data).hexdigest()
         path = str(_trial_folder(study_key, trial) / _hashed(_single("artifact name", name), digest))
-        self._write(path, data)
+        with self._storage("written"):
+            self._write(path, data)
         return NewArtifact(name=name, path=path, sha256=digest, size=len(data))
 
     def read(self, artifact: ArtifactRow | NewArtifact) -> bytes:
         """The content that was recorded; see the port."""
-        data = self._read(str(_checked(artifact.path)))
+        path = str(_checked(artifact.path))
+        with self._storage("read"):
+            data = self._read(path)
         where = f"artifact {artifact.path} in {self.url}"
         if data is None:
             raise ArtifactDamaged(
@@ -136,29 +150,62 @@ class _Files(ABC):
         """Keep a checkpoint; see the port."""
         folder = str(_checkpoints(study_key, trial))
         name = f"{iteration:08d}-{hashlib.sha256(data).hexdigest()}.checkpoint"
-        self._write(f"{folder}/{name}", data)
-        for _, old in self._ranked(folder)[KEPT_CHECKPOINTS:]:
-            if old != name:
-                self.remove(f"{folder}/{old}")
+        with self._storage("written"):
+            self._write(f"{folder}/{name}", data)
+            for _, old in self._ranked(folder)[KEPT_CHECKPOINTS:]:
+                if old != name:
+                    self.remove(f"{folder}/{old}")
         return f"{folder}/{name}"
 
     def newest_checkpoint(self, study_key: str, trial: int) -> tuple[int, bytes] | None:
         """Iteration and content of the newest intact checkpoint; see the port."""
         folder = str(_checkpoints(study_key, trial))
-        for iteration, name in self._ranked(folder):
-            data = self._read(f"{folder}/{name}")
-            if data is None:
-                continue
-            if f"-{hashlib.sha256(data).hexdigest()}." in name:
-                return iteration, data
-            self._rename(f"{folder}/{name}", name + _TORN)
+        with self._storage("read"):
+            for iteration, name in self._ranked(folder):
+                data = self._read(f"{folder}/{name}")
+                if data is None:
+                    continue
+                if f"-{hashlib.sha256(data).hexdigest()}." in name:
+                    return iteration, data
+                self._rename(f"{folder}/{name}", name + _TORN)
         return None
 
     def drop_checkpoints(self, study_key: str, trial: int) -> None:
         """Remove the checkpoints of a trial that is final; see the port."""
         folder = str(_checkpoints(study_key, trial))
-        for name in self._names(folder):
-            self.remove(f"{folder}/{name}")
+        with self._storage("written"):
+            for name in self._names(folder):
+                self.remove(f"{folder}/{name}")
+
+    def identity(self) -> str:
+        """What tells this root from every other; see the port."""
+        with self._storage("read"):
+            found = self._read(MARKER)
+        return "" if found is None else found.decode("ascii", "replace").strip()
+
+    def mark(self) -> str:
+        """Give the root an identity where it has none; see the port."""
+        found = self.identity()
+        if not found:
+            found = uuid.uuid4().hex
+            with self._storage("written"):
+                self._write(MARKER, f"{found}\n".encode())
+        return found
+
+    @contextlib.contextmanager
+    def _storage(self, done: str) -> Iterator[None]:
+        """Tell storage that fails from files that are wrong: the one is waited for, the other is not."""
+        try:
+            yield
+        except (HalmaError, ValueError):
+            raise
+        except OSError as error:
+            raise StorageUnavailable(_why_not(self.url, done, error.strerror or str(error))) from error
+        except Exception as error:
+            if isinstance(self, FolderArtifacts):
+                raise
+            # What an object store's client raises when its server is away is known to that client alone.
+            raise StorageUnavailable(_why_not(self.url, done, f"{type(error).__name__}: {error}")) from error
 
     def _ranked(self, folder: str) -> list[tuple[int, str]]:
         """Iteration and name of the checkpoints that a folder claims to hold, newest first."""
@@ -219,7 +266,9 @@ class FolderArtifacts(_Files):
         """Paths of all files below the root; links are not followed."""
         for folder, _, names in os.walk(self._root):
             for name in names:
-                yield (Path(folder) / name).relative_to(self._root).as_posix()
+                path = (Path(folder) / name).relative_to(self._root).as_posix()
+                if path != MARKER:
+                    yield path
 
     def remove(self, path: str) -> None:
         """Remove a file, of a link the link; one that is gone already is fine."""
@@ -266,12 +315,18 @@ class ObjectArtifacts(_Files):
         """Paths of all objects below the root."""
         self._files.invalidate_cache()
         for place in self._files.find(self._root):
-            yield str(place).removeprefix(self._root + "/")
+            path = str(place).removeprefix(self._root + "/")
+            if path != MARKER:
+                yield path
 
     def remove(self, path: str) -> None:
         """Remove an object; one that is gone already is fine."""
         with contextlib.suppress(FileNotFoundError):
             self._files.rm_file(self._place(path))
+
+
+def _why_not(url: str, done: str, found: str) -> str:
+    return f"artifacts {url}: expected files that can be {done}, found: {found}; nothing half-done was left"
 
 
 def _checked(path: str) -> PurePosixPath:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from services.arrivals import Arrivals, why_stopping
+from services.dispatch.hosts import take_room
 from services.dispatch.port import Dispatcher, Message
 from services.drive import Drive, Leaving, Live
 from services.driver import DriverWatch, this_process
@@ -104,11 +105,12 @@ class Coordinator:
         )
         self._held.drives[row.id] = drive
         try:
+            self._dispatcher.open(drive.key, drive.spec.task.name)
             self._strategist.open(row.id, row.spec)
-        except BaseException:
+        except BaseException as error:
             del self._held.drives[row.id]
             with self._store.transaction() as change:
-                change.release_drive(row.id, token, StudyState.PAUSED, "its strategy could not be made")
+                change.release_drive(row.id, token, StudyState.PAUSED, f"it could not be made ready: {error}")
             raise
 
     def leave(self, state: StudyState, reason: str) -> None:
@@ -207,7 +209,7 @@ class Coordinator:
                 rng_key=asked.rng_key,
                 seconds=answer.seconds,
                 trials=trials,
-                info={"settings": drive.spec.search.settings},
+                info={"settings": drive.spec.search.settings, "target_cost": asked.target_cost},
             )
             return [lambda: self._opened(drive, rows)]
 
@@ -326,21 +328,20 @@ class Coordinator:
     def _shares(self, now: float) -> list[tuple[Drive, int]]:
         """Hand out free slots one by one: to the highest priority, then to who holds the fewest cores of all."""
         drives = [drive for drive in self._held.drives.values() if drive.leaving is None]
-        free = {pool: self._dispatcher.free(pool) for pool in {drive.row.pool for drive in drives}}
+        rooms = {pool: dict(self._dispatcher.rooms(pool)) for pool in {drive.row.pool for drive in drives}}
         for drive in drives:
-            free[drive.row.pool] -= drive.reserved
+            for _ in range(drive.asked.count if drive.asked else 0):
+                take_room(rooms[drive.row.pool], drive.spec.resources.cpus)
         given = dict.fromkeys((drive.row.id for drive in drives), 0)
-        while True:
-            hungry = [
-                drive
-                for drive in drives
-                if given[drive.row.id] < drive.appetite(now) and free[drive.row.pool] >= drive.spec.resources.cpus
-            ]
-            if not hungry:
-                return [(drive, given[drive.row.id]) for drive in drives if given[drive.row.id]]
+        hungry = [drive for drive in drives if drive.appetite(now) > 0]
+        while hungry:
             chosen = min(hungry, key=lambda drive: drive.claim(given[drive.row.id]))
-            given[chosen.row.id] += 1
-            free[chosen.row.pool] -= chosen.spec.resources.cpus
+            if take_room(rooms[chosen.row.pool], chosen.spec.resources.cpus):
+                given[chosen.row.id] += 1
+                if given[chosen.row.id] < chosen.appetite(now):
+                    continue
+            hungry.remove(chosen)
+        return [(drive, given[drive.row.id]) for drive in drives if given[drive.row.id]]
 
     def _start(self, drive: Drive, trials: Sequence[TrialRow]) -> None:
         parents = {trial.number: self._parent_artifacts(drive, trial) for trial in trials}

@@ -136,6 +136,7 @@ class Drive:
             pending=[candidate_json(trial) for _, trial in sorted(self.open.items())],
             count=count,
             rng_key=proposal_key(self.spec.seed, self.next_number),
+            target_cost=self.row.target_cost,
         )
 
     def assignment(self, trial: TrialRow, live: Live, parent_artifacts: tuple[NewArtifact, ...]) -> Assignment:

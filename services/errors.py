@@ -47,6 +47,10 @@ class ArtifactDamaged(HalmaError):
     """An artifact is missing or doesn't match its hash."""
 
 
+class StorageUnavailable(HalmaError, OSError):
+    """The artifacts can't be written or read now (disk full, read-only, server away). Whoever can wait, waits."""
+
+
 class Refused(HalmaError):
     """A transition was refused by its guard (state or fencing token). Nothing was written."""
 

@@ -45,6 +45,7 @@ class ProposalRequest:
         pending: `candidate_json` of open trials, by number.
         count: how many candidates are wanted.
         rng_key: entropy of the generator.
+        target_cost: samples that the study may spend now, for strategies that plan them; it may have been extended.
     """
 
     study: int
@@ -54,6 +55,7 @@ class ProposalRequest:
     pending: Sequence[Mapping[str, JSON]]
     count: int
     rng_key: tuple[int, ...]
+    target_cost: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +107,15 @@ class Proposer:
     _index: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self._target_cost = self.spec.get("search", {}).get("cost")
         self._strategy = build_strategy(self.spec)
+
+    def _plan_for(self, target_cost: float | None) -> None:
+        """A study that was extended has more to plan with; its strategy is made anew, and remembers nothing anyway."""
+        if target_cost is None or target_cost == self._target_cost:
+            return
+        self._strategy = build_strategy({**self.spec, "search": {**self.spec["search"], "cost": target_cost}})
+        self._target_cost = target_cost
 
     def propose(self, request: ProposalRequest) -> Proposed:
         """Propose, or say what is missing, or why it could not."""
@@ -120,6 +130,7 @@ class Proposer:
             self._history.append(self._observation(observation))
         if len(self._history) != request.history:
             return Proposed(request.study, missing_from=0)
+        self._plan_for(request.target_cost)
         began = time.perf_counter()
         rng = np.random.default_rng(np.random.SeedSequence(request.rng_key))
         pending = [self._candidate(each) for each in request.pending]
@@ -151,7 +162,8 @@ class Proposer:
         )
 
     def _told(self, candidate: Candidate) -> dict[str, Any]:
-        parent = candidate.warm_start
+        # A task that learns nothing leaves no policy to start from, so there is no lineage to keep either.
+        parent = candidate.warm_start if self.spec.get("trains", True) else None
         return {
             "params": dict(candidate.params),
             "z": candidate.z,

@@ -69,7 +69,7 @@ def drive_with_ray(
     artifact_root: str,
     directory: str,
     name: str,
-    pools: Mapping[str, int],
+    pools: Mapping[str, int] | None,
     *,
     take_over: bool,
     ray_address: str | None,
@@ -89,7 +89,7 @@ def drive_with_ray(
 
 @contextmanager
 def coordinator_serving(
-    database: str, artifact_root: str, directory: str, pools: Mapping[str, int], ray_address: str | None = None
+    database: str, artifact_root: str, directory: str, pools: Mapping[str, int] | None, ray_address: str | None = None
 ) -> Iterator[None]:
     """A coordinator that drives whatever is submitted, while the block runs.
 

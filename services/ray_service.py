@@ -12,10 +12,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import ray
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
+from services.artifacts import open_artifacts
 from services.coordinator import Coordinator
-from services.dispatch.ray_workers import RayDispatcher, pool_resource
-from services.errors import HalmaError
+from services.dispatch.hosts import Hosts, pool_resource
+from services.dispatch.ray_workers import RayDispatcher
+from services.errors import BadInput, HalmaError
 from services.proposing import (
     ProposalRequest,
     Proposed,
@@ -51,7 +54,17 @@ class StrategyActor:
 def start_strategy(spec: Mapping[str, JSON]) -> Actor:
     """A strategy actor. It takes no core: it works while the trainings wait for it, and rests while they run."""
     shaped: Actor = ray.remote(StrategyActor)
-    return shaped.options(num_cpus=0, max_restarts=0).remote(dict(spec))
+    return shaped.options(num_cpus=0, max_restarts=0, scheduling_strategy=_here()).remote(dict(spec))
+
+
+def this_host() -> str:
+    """Ray's name of the host that this process runs on."""
+    return str(ray.get_runtime_context().get_node_id())
+
+
+def _here() -> NodeAffinitySchedulingStrategy:
+    """On this host: the trial database, the artifacts and people's own modules are where the driver was started."""
+    return NodeAffinitySchedulingStrategy(this_host(), soft=False)
 
 
 @dataclass(slots=True)
@@ -110,13 +123,18 @@ class CoordinatorActor:
         database: URL of the trial database.
         artifact_root: where trials leave their files.
         directory: the submitter's working directory.
-        pools: cores of each pool.
+        pools: at most so many cores of each pool; None takes what the cluster has.
     """
 
-    def __init__(self, database: str, artifact_root: str, directory: str, pools: dict[str, int]) -> None:
+    def __init__(self, database: str, artifact_root: str, directory: str, pools: dict[str, int] | None) -> None:
         self._store = open_store(database)
         mailbox = ray.get_runtime_context().current_actor
-        self._dispatcher = RayDispatcher(artifact_root, directory, dict(pools), mailbox)
+        hosts = Hosts(ray.nodes, pools)
+        hosts.refresh()
+        hosts.follow()
+        self._dispatcher = RayDispatcher(
+            artifact_root, open_artifacts(artifact_root).mark(), directory, hosts, this_host(), mailbox
+        )
         self._coordinator = Coordinator(self._store, self._dispatcher, RayStrategist(self._dispatcher))
 
     # A group of one thread: messages of one worker must not overtake each other.
@@ -152,30 +170,51 @@ class CoordinatorActor:
             self._coordinator.close()
 
 
-def start_coordinator(database: str, artifact_root: str, directory: str, pools: Mapping[str, int]) -> Actor:
+def start_coordinator(database: str, artifact_root: str, directory: str, pools: Mapping[str, int] | None) -> Actor:
     """A coordinator actor (see `CoordinatorActor`), not driving anything yet."""
     remote: Any = ray.remote  # its overloads don't know of concurrency groups
     # `mail` has one thread, so that messages of one worker can't overtake each other.
-    actor = remote(num_cpus=0, max_restarts=0, concurrency_groups={"mail": 1, "control": 2})(CoordinatorActor)
-    return actor.remote(database, artifact_root, directory, dict(pools))
+    actor = remote(
+        num_cpus=0, max_restarts=0, concurrency_groups={"mail": 1, "control": 2}, scheduling_strategy=_here()
+    )(CoordinatorActor)
+    return actor.remote(database, artifact_root, directory, None if pools is None else dict(pools))
 
 
-def start_ray(pools: Mapping[str, int], address: str | None = None) -> None:
+def start_ray(pools: Mapping[str, int] | None, address: str | None = None) -> None:
     """Start a local Ray with room for these pools, or join the cluster at `address`.
 
-    Ray's own dashboard and usage reports stay off; its processes end with this one.
+    Ray's own dashboard and usage reports stay off; a local Ray's processes end with this one.
 
     Raises:
-        HalmaError: it did not start.
+        BadInput: no cluster answers at the address, or it doesn't let us in.
+        HalmaError: the local Ray did not start.
     """
     handler = signal.getsignal(signal.SIGTERM)
     if address is not None:
-        ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
+        _join(address)
     else:
-        _start_local(pools)
+        _start_local(pools or {})
     # Ray takes SIGTERM for itself and exits with its number; whoever starts Ray here has plans of its own for it.
     if handler is not None and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, handler)
+
+
+def _join(address: str) -> None:
+    if address.startswith("ray://"):
+        raise BadInput(
+            f"--ray-address {address}: expected a cluster that this host belongs to, found an address of Ray's client; "
+            "run `ray start --address=HEAD:6379` here and give HEAD:6379, or `auto`"
+        )
+    try:
+        ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
+    except (ConnectionError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
+        ray.shutdown()
+        found = " ".join(str(error).split()) or type(error).__name__
+        raise BadInput(
+            f"--ray-address {address}: expected a Ray cluster that this host belongs to, found: {found}; "
+            "start one with `ray start --head`, join it with `ray start --address=HEAD:6379`, and give all hosts the "
+            "same token (RAY_AUTH_TOKEN, or ~/.ray/auth_token)"
+        ) from error
 
 
 def _start_local(pools: Mapping[str, int]) -> None:

@@ -16,6 +16,9 @@ from services.translate import search_features
 BEST = 5
 """How many trials stand for a study whose task has no behaviour."""
 
+NAME = "name"
+"""The detail in which a task says in words what a trial found."""
+
 MOST_DETAILS = 2
 """Named results beside the value that a table has room for."""
 
@@ -84,6 +87,12 @@ def value_name(found: Sequence[Finding]) -> str:
     return same[0] if same else "value"
 
 
+def strategy_name(trial: TrialRow) -> str:
+    """What a trial's task calls its behaviour (`face-up layout, head first`); empty where it calls it nothing."""
+    name = trial.details.get(NAME)
+    return name if isinstance(name, str) else ""
+
+
 def shown_details(found: Sequence[Finding], behaviour: Behaviour | None) -> list[str]:
     """Names of the details worth a column: in every finding, and neither the value nor the behaviour once more.
 
@@ -91,8 +100,8 @@ def shown_details(found: Sequence[Finding], behaviour: Behaviour | None) -> list
     """
     if value_name(found) != "value":
         return []
-    features = set(behaviour.names) if behaviour else set()
-    return [name for name in _shared_details(found) if name not in features][:MOST_DETAILS]
+    known = {NAME, *(behaviour.names if behaviour else ())}
+    return [name for name in _shared_details(found) if name not in known][:MOST_DETAILS]
 
 
 def _shared_details(found: Sequence[Finding]) -> list[str]:

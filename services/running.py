@@ -65,7 +65,8 @@ def drive(
         artifact_root: where trials leave their files.
         name: the study, which exists.
         inline: run trials one after the other in this process, without Ray.
-        pools: cores of each worker pool; default: one pool `default` with all cores of this machine.
+        pools: cores of each worker pool; default: one pool `default` with all cores of this machine, or the pools
+            of the cluster at `ray_address`.
         take_over: fence off a living driver.
         ray_address: join this Ray cluster instead of starting a local one.
 
@@ -76,10 +77,11 @@ def drive(
         InterruptedByUser: Ctrl-C or SIGTERM; the study is paused and resumable.
         StudyDriven: another driver holds it.
     """
-    sizes = dict(pools or {"default": os.cpu_count() or 1})
+    here = {"default": os.cpu_count() or 1}
     if inline:
-        _drive_inline(database, artifact_root, name, sizes, take_over=take_over)
+        _drive_inline(database, artifact_root, name, dict(pools or here), take_over=take_over)
     else:
+        sizes = pools or (here if ray_address is None else None)
         prepare(ray_address)
         from services.ray_running import drive_with_ray  # noqa: PLC0415 - Ray takes a second to import
 

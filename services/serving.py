@@ -7,7 +7,7 @@ import ipaddress
 import json
 import os
 import socket
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -40,6 +40,7 @@ def serve(
     host: str = "127.0.0.1",
     port: int = PORT,
     hosts: Collection[str] = (),
+    pools: Mapping[str, int] | None = None,
     factory: str = FACTORY,
 ) -> None:
     """Serve until Ctrl-C or SIGTERM.
@@ -51,6 +52,7 @@ def serve(
         host: address to listen on; this machine alone by default.
         port: to listen on; 0 takes a free one.
         hosts: further names under which browsers may address the service.
+        pools: cores by worker pool, to be shown.
         factory: `module:function` that makes the web application.
 
     Raises:
@@ -74,6 +76,7 @@ def serve(
                 token=token.token,
                 submit=submit_to(store),
                 hosts=[*hosts, host],
+                pools=pools,
             )
             config = uvicorn.Config(
                 app,

@@ -23,6 +23,8 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, PydanticCustomError
 
+from services.profiles import PROFILES, relaxed
+
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 """Names of studies and pools: they become folder names and parts of URLs."""
 
@@ -202,6 +204,7 @@ class StudySpec(Section):
         default_factory=dict, description="budget, network and learner settings, validated by the task"
     )
     resources: Resources = Resources()
+    profile: StrictStr | None = Field(default=None, description="which of the file's profiles runs (`--profile`)")
     seed: Whole = Field(default=0, ge=0, le=LARGEST_SEED, description="all randomness of the study flows from it")
     priority: Whole = Field(default=0, ge=-1000, le=1000, description="studies of higher priority get slots first")
     retries: Retries = Retries()
@@ -258,4 +261,14 @@ class ResolvedSpec(StudySpec):
 
 def json_schema() -> dict[str, Any]:
     """JSON schema of a study file, for editors (`halma schema`)."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **StudySpec.model_json_schema()}
+    schema = StudySpec.model_json_schema()
+    profiles = {
+        "type": "object",
+        "description": "sections that a profile changes, by its name; `profile` or `--profile` chooses one",
+        "additionalProperties": relaxed(schema),
+    }
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
+        "properties": {**schema["properties"], PROFILES: profiles},
+    }

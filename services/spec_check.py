@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from search import BadSetting as BadStrategySetting
-from search import SearchError, UnknownStrategy
+from search import SearchError, UnknownStrategy, strategies
 from search.registry import strategy_class
 from services.located_yaml import Path as Place
+from services.problems import BadStudy, Problem
 from services.spec import ResolvedSpec, StudySpec
-from services.spec_file import BadStudy, Draft, Problem, draft, read_draft
+from services.spec_file import Draft, draft, read_draft
 from services.translate import make_strategy_of, resolve
 from workers.contracts import BadJob, BadSetting, Task, TaskInfo
 from workers.registry import load_task
 from workers.user_code import UnknownTask
 
 Problems = list[Problem]
+
+DIFFICULTY = "an argument z of the function or of the environment's constructor, or task.settings.difficulty"
+"""How a task of one's own gets a difficulty."""
 
 
 def load_study(path: Path, overrides: Sequence[str] = ()) -> ResolvedSpec:
@@ -99,6 +104,15 @@ def _ask_task(read: Draft, spec: ResolvedSpec, task: Task, problems: Problems) -
 
 
 def _ask_strategy(read: Draft, spec: ResolvedSpec, problems: Problems) -> None:
+    strategy = spec.search.strategy
+    if not spec.has_difficulty and strategy_class(strategy).info().uses_z:
+        plain = [each.name for each in strategies() if each.uses_values and not each.uses_z]
+        message = (
+            f"expected a task with a difficulty for {strategy}, found that {spec.task.name} has none; give it one "
+            f"({DIFFICULTY}), or choose a strategy that needs none: {', '.join(plain)}"
+        )
+        problems.append(read.source.problem(("search", "strategy"), message))
+        return
     try:
         make_strategy_of(spec)
     except BadStrategySetting as error:
@@ -118,5 +132,7 @@ def _ask_strategy(read: Draft, spec: ResolvedSpec, problems: Problems) -> None:
 
 def _place(error: BadSetting) -> Place:
     """Where in a study file a task's complaint belongs."""
-    section = tuple(error.section.split("."))
-    return (*section, *error.field.split(".")) if error.field else section
+    section: Place = tuple(error.section.split("."))
+    parts = re.findall(r"[^.\[\]]+", error.field)
+    # `hidden[0]` is the first entry of the list `hidden`, which has a line of its own
+    return (*section, *(int(part) if part.isdigit() else part for part in parts))

@@ -56,3 +56,8 @@ async function confirm(name, study) {
   };
   dialog.showModal();
 }
+
+// A new study file like this one, to be changed before it is submitted.
+export function clone(study) {
+  return [element("a", { className: "button", href: `/submit?study=${encodeURIComponent(study.name)}`, textContent: "Clone", title: "A new study file like this one", dataset: { action: "clone" } })];
+}

@@ -1,51 +1,23 @@
-// The space of behaviours: every outcome where it belongs, the distinct strategies by name.
-//
-// A circle is drawn as one (angle = the behaviour, radius = the value); a vector as a plane of two of its
-// coordinates; a rotation as the directions in which the body's forward axis points, on a map of the sphere.
+// The space of behaviours: every outcome where it belongs, the distinct strategies by number, distances on hover.
 import { colour } from "./chart.js";
 import { feature, number } from "./format.js";
-import { onTheme } from "./plain.js";
+import { element, onTheme } from "./plain.js";
+import { SIZE, distance, distanceWords, spaceOf } from "./spaces.js";
+import { svg } from "./svg.js";
 
-const SVG = "http://www.w3.org/2000/svg";
-const SIZE = 320;
 const MOST = 1500;
-
-function svg(tag, attributes = {}, text = null) {
-  const made = document.createElementNS(SVG, tag);
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  if (text !== null) made.textContent = text;
-  return made;
-}
-
-// The forward axis (x) of a body turned by the unit quaternion x y z w.
-export function forward([x, y, z, w]) {
-  return [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)];
-}
-
-// Lambert's equal-area projection of a unit vector seen from +z, the whole sphere in a disc of radius 1.
-export function lambert([x, y, z]) {
-  const k = Math.sqrt(1 / Math.max(1e-9, 1 + z)) / Math.SQRT2;
-  return [x * k, y * k];
-}
+const MOST_LINES = 12;
 
 export class BehaviourChart {
-  constructor(at, { study, trials, behaviour, onHover = () => {} }) {
-    this.at = at;
-    this.study = study;
-    this.trials = trials;
-    this.behaviour = behaviour;
-    this.onHover = onHover;
+  constructor(at, { study, trials, behaviour, valueTitle = "value", onHover = () => {} }) {
+    Object.assign(this, { at, study, trials, behaviour, valueTitle, onHover });
     this.strategies = [];
+    this.view = { turn: -0.6, tilt: 0.42 };
     onTheme(() => this.draw());
+    if (behaviour.kind === "rotation") this.#turnable();
   }
 
-  hint() {
-    return {
-      circle: `angle: ${this.behaviour.names[0]}; distance from the centre: value`,
-      euclidean: this.behaviour.names.length > 2 ? `the first two of ${this.behaviour.names.length} features` : "",
-      rotation: "where the body's forward axis points, equal-area, seen from above",
-    }[this.behaviour.kind];
-  }
+  hint() { return spaceOf(this.behaviour, { low: 0, high: 1, axes: [] }).hint(); }
 
   draw() {
     if (this.queued) return;
@@ -53,116 +25,120 @@ export class BehaviourChart {
     requestAnimationFrame(() => { this.queued = false; this.#draw(); });
   }
 
-  place(trial, range) {
-    const { kind } = this.behaviour;
-    const half = SIZE / 2;
-    if (kind === "circle") {
-      const share = trial.value === null || range.high === range.low ? 1 : (trial.value - range.low) / (range.high - range.low);
-      const radius = (0.25 + 0.75 * share) * (half - 40);
-      return [half + radius * Math.cos(trial.features[0]), half - radius * Math.sin(trial.features[0])];
-    }
-    if (kind === "rotation") {
-      const [x, y] = lambert(forward(trial.features));
-      return [half + x * (half - 30), half - y * (half - 30)];
-    }
-    const along = (index) => {
-      const [low, high] = range.axes[index];
-      return high === low ? 0.5 : ((trial.features[index] ?? 0) - low) / (high - low);
+  #turnable() {
+    const { at, view } = this;
+    at.classList.add("turnable");
+    const turn = (dx, dy) => {
+      view.turn += dx;
+      view.tilt = Math.max(-1.5, Math.min(1.5, view.tilt + dy));
+      this.draw();
     };
-    const two = this.behaviour.names.length > 1;
-    return [46 + along(0) * (SIZE - 62), two ? SIZE - 40 - along(1) * (SIZE - 56) : half];
+    // A drag that ends on a mark is no click on it.
+    at.addEventListener("click", (event) => { if (this.dragged) event.preventDefault(); }, { capture: true });
+    at.addEventListener("pointerdown", (event) => {
+      this.dragged = false;
+      let [x, y, moved] = [event.clientX, event.clientY, 0];
+      const move = (now) => {
+        moved += Math.abs(now.clientX - x) + Math.abs(now.clientY - y);
+        turn((now.clientX - x) * 0.01, (now.clientY - y) * 0.01);
+        [x, y] = [now.clientX, now.clientY];
+      };
+      const up = () => {
+        removeEventListener("pointermove", move);
+        this.dragged = moved > 4;
+      };
+      addEventListener("pointermove", move);
+      addEventListener("pointerup", up, { once: true });
+      event.preventDefault();
+    });
+    at.tabIndex = 0;
+    at.setAttribute("role", "group");
+    at.setAttribute("aria-label", "Sphere of behaviours; the arrow keys turn it");
+    at.addEventListener("keydown", (event) => {
+      const by = { ArrowLeft: [-0.15, 0], ArrowRight: [0.15, 0], ArrowUp: [0, -0.15], ArrowDown: [0, 0.15] }[event.key];
+      if (by && event.target === at) { event.preventDefault(); turn(...by); }
+    });
   }
 
-  range(trials) {
+  #range(trials) {
     const values = trials.map((trial) => trial.value).filter((value) => value !== null);
     const axes = this.behaviour.names.map((_, index) => {
       const found = trials.map((trial) => trial.features[index]);
-      return [this.behaviour.low[index] ?? Math.min(...found), this.behaviour.high[index] ?? Math.max(...found)];
+      return [this.behaviour.low?.[index] ?? Math.min(...found), this.behaviour.high?.[index] ?? Math.max(...found)];
     });
-    return { low: Math.min(...values), high: Math.max(...values), axes };
+    const [low, high] = values.length ? [Math.min(...values), Math.max(...values)] : [0, 0];
+    return { low, high, axes, label: this.valueTitle };
+  }
+
+  words(trial) {
+    const where = this.behaviour.names.map((name, index) => `${name} ${feature(trial.features[index], this.behaviour.kind === "rotation" ? "" : this.behaviour.unit)}`).join(", ");
+    return `trial ${trial.number}: ${where}, ${this.valueTitle} ${number(trial.value)}`;
   }
 
   #draw() {
     let trials = this.trials.all().filter((trial) => trial.features !== null);
     if (!trials.length) {
-      this.at.replaceChildren(Object.assign(document.createElement("p"), { className: "empty", textContent: "Behaviours appear here as trials finish." }));
+      this.at.replaceChildren(element("p", { className: "empty", textContent: "Behaviours appear here as trials finish." }));
       return;
     }
-    const range = this.range(trials);
+    const space = (this.space = spaceOf(this.behaviour, this.#range(trials), this.view));
     const names = new Map(this.strategies.map((strategy, index) => [strategy.number, index + 1]));
     if (trials.length > MOST) {
       const step = Math.ceil(trials.length / MOST);
       trials = trials.filter((trial, index) => index % step === 0 || names.has(trial.number));
     }
-    const root = svg("svg", { viewBox: `0 0 ${SIZE} ${SIZE}`, role: "img", "aria-label": `Behaviours of ${trials.length} trials` });
-    this.#frame(root, range);
-    this.marks = new Map();
+    const root = svg("svg", { viewBox: `0 0 ${SIZE} ${SIZE}`, role: "group", "aria-label": `Behaviours of ${trials.length} trials` });
+    space.frame(root);
+    const [behind, lines, front] = [svg("g"), svg("g", { "data-lines": "" }), svg("g")];
+    this.places = new Map();
     for (const trial of trials) {
-      const [x, y] = this.place(trial, range);
+      const [x, y, visible] = space.place(trial);
       const rank = names.get(trial.number);
-      const mark = svg("a", { href: `/studies/${encodeURIComponent(this.study)}/trials/${trial.number}`, "data-number": trial.number });
-      const done = trial.state === "complete";
-      mark.append(svg("circle", {
-        cx: x, cy: y, r: rank ? 9 : 4, fill: rank ? colour("accent") : done ? colour("complete") : "none", "fill-opacity": rank ? 1 : 0.45,
-        stroke: done ? colour("sheet") : colour("failed"), "stroke-width": 1.2,
-      }));
-      if (rank) mark.append(svg("text", { x, y: y + 3.8, "text-anchor": "middle", "font-size": 11, "font-weight": 600, fill: colour("on-accent") }, rank));
-      const where = this.behaviour.names.map((name, index) => `${name} ${feature(trial.features[index], this.behaviour.unit)}`).join(", ");
-      mark.append(svg("title", {}, `trial ${trial.number}: ${where}, value ${number(trial.value)}`));
-      mark.addEventListener("mouseenter", () => this.onHover(trial.number));
-      mark.addEventListener("mouseleave", () => this.onHover(-1));
-      this.marks.set(trial.number, mark);
-      if (rank) root.append(mark); else root.insertBefore(mark, root.querySelector("[data-front]"));
+      this.places.set(trial.number, { x, y, visible, r: rank ? 10 : 4, trial });
+      (rank && visible ? front : behind).append(this.#mark(trial, rank, x, y, visible, space));
     }
+    root.append(behind, lines, front);
     this.at.replaceChildren(root);
+    if (this.lit !== undefined && this.lit >= 0) this.light(this.lit);
   }
 
-  #frame(root, range) {
-    const half = SIZE / 2;
-    const line = { stroke: colour("line"), fill: "none" };
-    const soft = { fill: colour("soft"), "font-size": 11 };
-    if (this.behaviour.kind === "circle") {
-      for (const share of [0.25, 0.625, 1]) root.append(svg("circle", { cx: half, cy: half, r: share * (half - 40), ...line }));
-      for (let turn = 0; turn < 8; turn++) {
-        const angle = (turn * Math.PI) / 4;
-        const [c, s] = [Math.cos(angle), Math.sin(angle)];
-        root.append(svg("line", { x1: half + 0.25 * (half - 40) * c, y1: half - 0.25 * (half - 40) * s, x2: half + (half - 40) * c, y2: half - (half - 40) * s, ...line }));
-        const degrees = turn > 4 ? turn * 45 - 360 : turn * 45;
-        root.append(svg("text", { x: half + (half - 20) * c, y: half - (half - 20) * s + 4, "text-anchor": "middle", ...soft }, `${String(degrees).replace("-", "−")}°`));
-      }
-      if (range.high > range.low) {
-        root.append(svg("text", { x: half + 4, y: half - 0.25 * (half - 40) - 3, ...soft }, number(range.low, 3)));
-        root.append(svg("text", { x: half + 4, y: half - (half - 40) - 3, ...soft }, number(range.high, 3)));
-      }
-    } else if (this.behaviour.kind === "rotation") {
-      root.append(svg("circle", { cx: half, cy: half, r: half - 30, ...line }));
-      root.append(svg("circle", { cx: half, cy: half, r: (half - 30) / Math.SQRT2, "stroke-dasharray": "3 4", ...line }));
-      for (const [x, y, text] of [[half, half + 4, "up"], [half, 22, "+y (left of the run-up)"], [half, SIZE - 14, "−y"], [SIZE - 14, half + 4, "+x"], [14, half + 4, "−x"]]) {
-        root.append(svg("text", { x, y, "text-anchor": "middle", ...soft }, text));
-      }
-    } else {
-      const two = this.behaviour.names.length > 1;
-      const unit = this.behaviour.unit ? ` (${this.behaviour.unit})` : "";
-      root.append(svg("rect", { x: 46, y: 16, width: SIZE - 62, height: SIZE - 56, ...line }));
-      const [low, high] = range.axes[0];
-      root.append(svg("text", { x: 46, y: SIZE - 26, ...soft }, number(low, 3)));
-      root.append(svg("text", { x: SIZE - 16, y: SIZE - 26, "text-anchor": "end", ...soft }, number(high, 3)));
-      root.append(svg("text", { x: (SIZE + 30) / 2, y: SIZE - 12, "text-anchor": "middle", ...soft }, this.behaviour.names[0] + unit));
-      if (two) {
-        const [bottom, top] = range.axes[1];
-        root.append(svg("text", { x: 42, y: SIZE - 40, "text-anchor": "end", ...soft }, number(bottom, 3)));
-        root.append(svg("text", { x: 42, y: 26, "text-anchor": "end", ...soft }, number(top, 3)));
-        root.append(svg("text", { x: 14, y: half, "text-anchor": "middle", transform: `rotate(-90 14 ${half})`, ...soft }, this.behaviour.names[1] + unit));
-      }
+  #mark(trial, rank, x, y, visible, space) {
+    // Only strategies take part in the tab order: a thousand outcomes would make it useless.
+    const mark = svg("a", { href: `/studies/${encodeURIComponent(this.study)}/trials/${trial.number}`, "data-number": trial.number, tabindex: rank ? 0 : -1, opacity: visible ? 1 : 0.35 });
+    const done = trial.state === "complete";
+    if (space.stroke && visible) {
+      const [dx, dy] = space.stroke(trial);
+      mark.append(svg("line", { x1: x, y1: y, x2: x + dx, y2: y + dy, stroke: rank ? colour("accent") : colour("complete"), "stroke-width": 1.6 }));
     }
-    root.append(svg("g", { "data-front": "" }));
+    mark.append(svg("circle", {
+      cx: x, cy: y, r: rank ? 10 : 4, fill: rank ? colour("accent") : done ? colour("complete") : "none", "fill-opacity": rank ? 1 : 0.45,
+      stroke: done ? colour("sheet") : colour("failed"), "stroke-width": 1.2,
+    }));
+    if (rank) mark.append(svg("text", { x, y: y + 4, "text-anchor": "middle", "font-size": 11.5, "font-weight": 600, fill: colour("on-accent") }, rank));
+    mark.append(svg("title", {}, this.words(trial)));
+    const [on, off] = [() => this.onHover(trial.number), () => this.onHover(-1)];
+    for (const [event, act] of [["mouseenter", on], ["mouseleave", off], ["focus", on], ["blur", off]]) mark.addEventListener(event, act);
+    return mark;
   }
 
-  light(number) {
+  // A ring around one outcome, and how far the strategies are from it.
+  light(wanted) {
+    this.lit = wanted;
+    const lines = this.at.querySelector("[data-lines]");
     for (const mark of this.at.querySelectorAll(".lit-mark")) mark.remove();
-    const mark = this.marks?.get(number)?.querySelector("circle");
-    if (!mark) return;
-    const ring = svg("circle", { class: "lit-mark", cx: mark.getAttribute("cx"), cy: mark.getAttribute("cy"), r: Number(mark.getAttribute("r")) + 4, fill: "none", stroke: colour("ink"), "stroke-width": 1.6 });
-    this.at.querySelector("svg").append(ring);
+    lines?.replaceChildren();
+    const from = this.places?.get(wanted);
+    if (!from || !lines) return;
+    for (const strategy of this.strategies.slice(0, MOST_LINES)) {
+      const to = this.places.get(strategy.number);
+      if (!to || strategy.number === wanted || !to.visible) continue;
+      const words = distanceWords(this.behaviour, distance(this.behaviour, from.trial.features, to.trial.features));
+      const [x, y] = [(from.x + to.x) / 2, (from.y + to.y) / 2];
+      lines.append(
+        svg("line", { x1: from.x, y1: from.y, x2: to.x, y2: to.y, stroke: colour("soft"), "stroke-width": 1, "stroke-dasharray": "3 3" }),
+        svg("text", { x, y: y - 3, "text-anchor": "middle", "font-size": 11, fill: colour("ink"), stroke: colour("sheet"), "stroke-width": 3, "paint-order": "stroke" }, words),
+      );
+    }
+    this.at.querySelector("svg").append(svg("circle", { class: "lit-mark", cx: from.x, cy: from.y, r: from.r + 4, fill: "none", stroke: colour("ink"), "stroke-width": 1.6 }));
   }
 }

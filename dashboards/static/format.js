@@ -23,6 +23,8 @@ export function amount(value) {
   return String(Number(value.toPrecision(3)));
 }
 
+export function bytes(value) { return `${amount(value)}${amount(value).includes(THIN) ? "B" : `${THIN}B`}`; }
+
 export function duration(seconds) {
   if (seconds === null || seconds === undefined || !Number.isFinite(seconds)) return "–";
   if (seconds < 10) return `${seconds.toFixed(1)}${THIN}s`;

@@ -1,12 +1,14 @@
 // The list of studies, live.
-import { actionsFor, buttons } from "./actions.js";
+import { actionsFor, buttons, clone } from "./actions.js";
 import { amount, duration, moment, number, stateText } from "./format.js";
 import { Live, api } from "./live.js";
 import { data, element } from "./plain.js";
 import { drawProgress, progressWords, share } from "./progress.js";
+import { drawSpark } from "./spark.js";
 
 const page = data();
 const studies = new Map(page.studies.map((study) => [study.name, study]));
+const pulses = new Map();
 const rows = new Map();
 const body = document.querySelector("#studies tbody");
 const find = document.getElementById("find");
@@ -17,8 +19,10 @@ const keys = {
   state: (study) => study.state,
   progress: (study) => share(study) ?? -1,
   best: (study) => study.best_value ?? -Infinity,
+  distinct: (study) => pulses.get(study.name)?.distinct ?? -1,
   samples: (study) => study.cost.samples,
-  seconds: (study) => study.cost.seconds,
+  rate: (study) => pulses.get(study.name)?.samples_per_second ?? -1,
+  left: (study) => pulses.get(study.name)?.seconds_left ?? Infinity,
   created: (study) => study.created_at,
 };
 
@@ -45,11 +49,14 @@ function rowOf(study) {
       name: element("td", {}, element("a", { href: address, textContent: study.name }), element("div", { className: "what" })),
       state: element("td", {}, element("span", { className: "state" }), element("div", { className: "what" })),
       progress: element("td", {}, element("span"), element("div", { className: "progress", role: "img" })),
-      best: element("td", { className: "num" }),
-      samples: element("td", { className: "num" }),
-      seconds: element("td", { className: "num" }),
-      created: element("td"),
-      actions: element("td"),
+      best: element("td", { className: "num", dataset: { label: "Best" } }),
+      course: element("td", { className: "course" }),
+      distinct: element("td", { className: "num", dataset: { label: "Strategies" } }),
+      samples: element("td", { className: "num", dataset: { label: "Cost" } }, element("span"), element("div", { className: "what" })),
+      rate: element("td", { className: "num", dataset: { label: "Rate" } }),
+      left: element("td", { className: "num", dataset: { label: "Time left" } }),
+      created: element("td", { dataset: { label: "Created" } }),
+      actions: element("td", { className: "actions" }),
     };
     row = { cells, tr: element("tr", { dataset: { study: study.name } }, ...Object.values(cells)) };
     rows.set(study.name, row);
@@ -62,13 +69,18 @@ function rowOf(study) {
   cells.progress.firstChild.textContent = progressWords(study);
   drawProgress(cells.progress.lastChild, study);
   cells.best.textContent = number(study.best_value);
-  cells.samples.textContent = amount(study.cost.samples);
-  cells.seconds.textContent = duration(study.cost.seconds);
+  cells.samples.firstChild.textContent = `${amount(study.cost.samples)} samples`;
+  cells.samples.lastChild.textContent = duration(study.cost.seconds);
+  const pulse = pulses.get(study.name);
+  drawSpark(cells.course, pulse?.best ?? []);
+  cells.distinct.textContent = number(pulse?.distinct ?? null);
+  cells.rate.textContent = pulse?.samples_per_second ? `${amount(pulse.samples_per_second)}/s` : "–";
+  cells.left.textContent = pulse?.seconds_left === null || pulse?.seconds_left === undefined ? "–" : duration(pulse.seconds_left);
   cells.created.textContent = moment(study.created_at);
   const names = actionsFor(study);
   if (cells.actions.dataset.names !== names.join()) {
     cells.actions.dataset.names = names.join();
-    cells.actions.replaceChildren(...buttons(study, names).map((button) => { button.classList.add("quiet"); return button; }));
+    cells.actions.replaceChildren(...[...buttons(study, names), ...clone(study)].map((button) => { button.classList.add("quiet"); return button; }));
   }
   return row.tr;
 }
@@ -98,22 +110,45 @@ for (const th of document.querySelectorAll("th[data-sort]")) {
   th.onclick = turn;
   th.onkeydown = (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); turn(); } };
 }
+// How the studies are doing, asked for in one request: all of them at first, then those that something happened in.
+const due = new Set(studies.keys());
+let pulseTimer = 0;
+async function pulse() {
+  pulseTimer = 0;
+  const wanted = [...due].filter((name) => studies.has(name)).slice(0, 100);
+  for (const name of wanted) due.delete(name);
+  if (!wanted.length) return;
+  try {
+    const query = new URLSearchParams(wanted.map((name) => ["study", name]));
+    for (const one of (await api(`/pulse?${query}`)).pulses) pulses.set(one.study, one);
+    draw();
+  } catch {
+    // The line at the top says that the service doesn't answer; what is missing is asked for when it is back.
+    for (const name of wanted) due.add(name);
+    return;
+  }
+  if (due.size) pulseSoon();
+}
+function pulseSoon() { pulseTimer ||= setTimeout(pulse, 2000); }
+pulse();
+setInterval(() => { for (const study of studies.values()) if (study.state === "running") due.add(study.name); pulseSoon(); }, 10000);
+
 find.oninput = stateFilter.onchange = () => { remember(); draw(); };
 draw();
 
 new Live({
   position: page,
   onFrame(frame) {
-    if (frame.type === "study") studies.set(frame.study.name, frame.study);
-    if (frame.type === "deleted") { studies.delete(frame.name); rows.delete(frame.name); }
+    if (frame.type === "study") { studies.set(frame.study.name, frame.study); due.add(frame.study.name); pulseSoon(); }
+    if (frame.type === "deleted") for (const known of [studies, rows, pulses]) known.delete(frame.name);
     if (frame.type !== "events") draw();
   },
   async onReset() {
     const fresh = await api("/studies");
-    studies.clear();
-    rows.clear();
-    for (const study of fresh.studies) studies.set(study.name, study);
+    for (const known of [studies, rows, pulses]) known.clear();
+    for (const study of fresh.studies) { studies.set(study.name, study); due.add(study.name); }
     draw();
+    pulse();
     return fresh;
   },
 });

@@ -1,9 +1,10 @@
 // A study, live: its facts, and whichever view of it is open.
-import { actionsFor, buttons } from "./actions.js";
-import { amount, duration, feature, number, stateText } from "./format.js";
+import { actionsFor, buttons, clone } from "./actions.js";
+import { amount, duration, number, stateText } from "./format.js";
 import { Live, api, banner } from "./live.js";
-import { data, element, setText } from "./plain.js";
+import { data, isDark, setText } from "./plain.js";
 import { drawProgress, finished, progressWords } from "./progress.js";
+import { saveButtons } from "./svg.js";
 import { Trials } from "./trials.js";
 
 const page = data();
@@ -12,6 +13,7 @@ const base = `/studies/${encodeURIComponent(study.name)}`;
 const behaviour = study.spec.behaviour ?? null;
 const units = study.spec.units ?? {};
 const trials = new Trials(study.name);
+const trialsLoaded = trials.load();
 
 function facts() {
   const state = document.getElementById("study-state");
@@ -21,7 +23,7 @@ function facts() {
   setText("study-reason", waits ? `${study.wanted === "pause" ? "pausing" : "cancelling"}: trials come to their next checkpoint` : study.reason);
   setText("fact-trials", progressWords(study));
   drawProgress(document.getElementById("progress"), study);
-  setText("fact-best", number(study.best_value));
+  setText("fact-best", `${number(study.best_value)}${page.value.unit && study.best_value !== null ? ` ${page.value.unit}` : ""}`);
   setText("fact-samples", amount(study.cost.samples));
   setText("fact-seconds", duration(study.cost.seconds));
   setText("fact-search", `${study.strategy} on ${study.task}`);
@@ -29,7 +31,7 @@ function facts() {
   const at = document.getElementById("actions");
   if (at.dataset.names !== names.join()) {
     at.dataset.names = names.join();
-    at.replaceChildren(...buttons(study, names));
+    at.replaceChildren(...buttons(study, names), ...clone(study));
   }
 }
 
@@ -50,33 +52,37 @@ function pace() {
   setText("fact-left", left.length ? `about ${duration(Math.max(0, Math.min(...left)))}` : "no end set");
 }
 
+const context = { base, study: study.name, trials, behaviour, units, space: study.spec.space ?? {}, value: page.value, hasDifficulty: Boolean(study.spec.has_difficulty) };
+const panelOf = (id) => document.getElementById(id).closest(".panel");
+
+// The best value against what it cost, with buttons for what the cost is counted in.
+async function valueChart(by) {
+  const { ValueChart } = await import("./valuechart.js");
+  const chart = new ValueChart(document.getElementById("value-chart"), { ...context, by });
+  const buttons = document.querySelectorAll("[data-x]");
+  const press = () => { for (const button of buttons) button.setAttribute("aria-pressed", String(button.dataset.x === chart.by)); };
+  for (const button of buttons) button.onclick = () => { chart.by = button.dataset.x; press(); chart.draw(); };
+  press();
+  saveButtons(panelOf("value-chart"), `${study.name}-value`, () => chart.chart);
+  return chart;
+}
+
 const views = {
   async overview() {
-    const [{ ValueChart }, { BehaviourChart }, { TrialTable }] = await Promise.all([import("./valuechart.js"), import("./behaviour.js"), import("./table.js")]);
+    const [chart, { BehaviourChart }, { TrialTable }, { Strategies }] = await Promise.all([valueChart("trial"), import("./behaviour.js"), import("./table.js"), import("./strategies.js")]);
     const light = (number) => {
       space?.light(number);
       table.light(number);
       for (const card of document.querySelectorAll(".strategy")) card.classList.toggle("lit", Number(card.dataset.number) === number);
     };
-    const chart = new ValueChart(document.getElementById("value-chart"), { study: study.name, trials });
-    for (const button of document.querySelectorAll("[data-x]")) {
-      button.onclick = () => {
-        chart.by = button.dataset.x;
-        for (const other of document.querySelectorAll("[data-x]")) other.setAttribute("aria-pressed", String(other === button));
-        chart.draw();
-      };
-    }
-    for (const button of document.querySelectorAll("[data-save]")) button.onclick = () => chart.chart.save(button.dataset.save);
     let space = null;
     if (behaviour) {
-      space = new BehaviourChart(document.getElementById("behaviour"), { study: study.name, trials, behaviour, onHover: light });
+      space = new BehaviourChart(document.getElementById("behaviour"), { ...context, valueTitle: context.value.title, onHover: light });
       setText("behaviour-hint", space.hint());
-    } else {
-      document.getElementById("behaviour-panel").remove();
-      document.querySelector(".grid.two").classList.add("alone");
+      saveButtons(panelOf("behaviour"), `${study.name}-behaviours`, () => document.querySelector("#behaviour > svg"));
     }
-    const table = new TrialTable(document.getElementById("table"), { study: study.name, trials, behaviour, units, onHover: light });
-    const strategies = behaviour ? new Strategies(light) : null;
+    const table = new TrialTable(document.getElementById("table"), { ...context, onHover: light });
+    const strategies = behaviour ? new Strategies({ ...context, light }) : null;
     return {
       draw(changes) {
         chart.draw();
@@ -86,15 +92,34 @@ const views = {
       },
     };
   },
+  async search() {
+    const [{ SliceView }, { Why }, { Fidelity }] = await Promise.all([import("./slice.js"), import("./why.js"), import("./fidelity.js")]);
+    const [slice, why, fidelity] = [new SliceView({ ...context, dark: isDark }), new Why(context), new Fidelity(context)];
+    await trialsLoaded;
+    await why.load();
+    for (const [id, name, target] of [
+      ["map", "surrogate-mean", () => slice.mean], ["unsure", "surrogate-uncertainty", () => slice.deviation], ["why", "proposals", () => why.chart],
+      ["ladder", "ladder", () => fidelity.ladder], ["costs", "cost-by-difficulty", () => fidelity.costs], ["lineage", "lineage", () => document.querySelector("#lineage > svg")],
+    ]) saveButtons(panelOf(id), `${study.name}-${name}`, target);
+    return {
+      draw(changes) { slice.draw(changes); why.draw(); fidelity.draw(); },
+      onEvents: (frame) => { why.add(frame.trials); why.draw(); },
+      reload: () => why.load(),
+    };
+  },
+  async quality() {
+    const [chart, { Quality }] = await Promise.all([valueChart("samples"), import("./quality.js")]);
+    const quality = new Quality(context);
+    for (const [id, name, target] of [
+      ["importance", "importances", () => document.querySelector("#importance > svg")], ["lines", "parameters", () => document.querySelector("#lines > svg")], ["overlay", "curves", () => quality.overlay.chart],
+    ]) saveButtons(panelOf(id), `${study.name}-${name}`, target);
+    return { draw(changes) { chart.draw(); quality.draw(changes); } };
+  },
   async trials() {
     const [{ TrialTable }, { filters }] = await Promise.all([import("./table.js"), import("./filters.js")]);
-    const table = new TrialTable(document.getElementById("table"), { study: study.name, trials, behaviour, units });
+    const table = new TrialTable(document.getElementById("table"), context);
     const bar = filters(document.getElementById("filters"), table, `/api/v1${base}/trials.csv`);
     return { draw() { bar.draw(); table.draw(); } };
-  },
-  async parameters() {
-    const { Parameters } = await import("./parameters.js");
-    return new Parameters({ study: study.name, trials, behaviour, units, space: study.spec.space ?? {} });
   },
   async events() {
     const { Events } = await import("./events.js");
@@ -103,60 +128,12 @@ const views = {
     return { draw() {}, onEvents: (frame) => events.add(frame), reload: () => events.load() };
   },
   async file() {
-    document.getElementById("file").textContent = JSON.stringify(study.spec, null, 2);
     return { draw() {} };
   },
 };
 
-// The gallery: one card for each distinct strategy, asked for when the history has grown.
-class Strategies {
-  #asked = -1;
-  #busy = false;
-
-  constructor(light) { this.light = light; }
-
-  async refresh(tell) {
-    const length = trials.history().length;
-    if (this.#busy || length === this.#asked) return;
-    this.#busy = true;
-    this.#asked = length;
-    try {
-      const { strategies } = await api(`${base}/strategies`);
-      this.draw(strategies);
-      tell(strategies);
-    } finally {
-      this.#busy = false;
-      if (trials.history().length !== length) setTimeout(() => this.refresh(tell), 500);
-    }
-  }
-
-  draw(strategies) {
-    document.getElementById("fact-distinct-box").hidden = false;
-    setText("fact-distinct", String(strategies.length));
-    document.getElementById("strategies").hidden = !strategies.length;
-    const moving = strategies.filter((found) => found.replay).slice(0, 4).map((found) => found.number);
-    const together = document.getElementById("together");
-    together.hidden = moving.length < 2;
-    together.href = `${base}/trials/${moving[0]}?beside=${moving.slice(1).join()}`;
-    document.getElementById("gallery").replaceChildren(...strategies.map((found, index) => {
-      const where = behaviour.names.map((name, i) => `${name} ${feature(found.features[i], behaviour.unit)}`).join(", ");
-      const picture = element("span", { className: "picture" });
-      if (found.pose) picture.append(element("img", { src: `/api/v1${base}/trials/${found.number}/artifacts/pose.png`, alt: `Pose of trial ${found.number}`, loading: "lazy" }));
-      else picture.append("no picture");
-      const card = element(
-        "a", { className: "strategy", href: `${base}/trials/${found.number}`, dataset: { number: found.number } }, picture,
-        element("span", { className: "words" }, element("strong", { textContent: `${index + 1} · ${where}` }), element("span", { textContent: `value ${number(found.value)}` }),
-          element("span", { textContent: `trial ${found.number}${found.members > 1 ? `, and ${found.members - 1} like it` : ""}` })),
-      );
-      card.onmouseenter = card.onfocus = () => this.light(found.number);
-      card.onmouseleave = card.onblur = () => this.light(-1);
-      return card;
-    }));
-  }
-}
-
 facts();
-const ready = Promise.all([views[page.view](), trials.load()]).then(([view, position]) => {
+const ready = Promise.all([views[page.view](), trialsLoaded]).then(([view, position]) => {
   pace();
   view.draw({ history: true });
   document.body.dataset.ready = "yes";

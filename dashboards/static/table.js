@@ -9,7 +9,8 @@ export class TrialTable {
   #visible = [];
   #queued = false;
 
-  constructor(at, { study, trials, behaviour, units, onHover = () => {} }) {
+  constructor(at, { study, trials, behaviour, units, value = { name: "value", title: "value" }, onHover = () => {} }) {
+    this.valueTitle = value.title;
     this.at = at;
     this.study = study;
     this.trials = trials;
@@ -46,7 +47,7 @@ export class TrialTable {
     const columns = [
       { key: "number", head: "#", num: true, value: (t) => t.number, text: (t) => element("a", { href: this.#address(t.number), textContent: t.number }) },
       { key: "state", head: "State", value: (t) => t.state, text: (t) => element("span", { className: "state", dataset: { state: t.state }, textContent: stateText(t.state) }) },
-      { key: "value", head: "Value", num: true, value: (t) => t.value, text: (t) => number(t.value) },
+      { key: "value", head: this.valueTitle[0].toUpperCase() + this.valueTitle.slice(1), num: true, value: (t) => t.value, text: (t) => number(t.value) },
     ];
     for (const [index, name] of (behaviour?.names ?? []).entries()) {
       columns.push({ key: `feature.${name}`, head: name, num: true, value: (t) => t.features?.[index] ?? null, text: (t) => (t.features ? feature(t.features[index], behaviour.unit) : "–") });

@@ -14,14 +14,14 @@ export function thinned(points, keep) {
 }
 
 export class ValueChart {
-  constructor(at, { study, trials, strategies }) {
+  constructor(at, { study, trials, value, by = "trial" }) {
     this.trials = trials;
-    this.by = "trial";
+    this.value = value;
+    this.by = by;
     this.chart = new Chart(at, () => this.describe(), {
       name: `${study}-value`,
       onClick: (point) => { if (point.customdata !== undefined) location.assign(`/studies/${encodeURIComponent(study)}/trials/${point.customdata}`); },
     });
-    this.strategies = strategies;
   }
 
   draw() { this.chart.draw(); }
@@ -44,7 +44,7 @@ export class ValueChart {
     const points = this.points();
     const title = { trial: "trial", samples: "samples spent (control steps)", time: "time since the first trial started (min)" }[this.by];
     const valued = points.filter((point) => point.trial.value !== null);
-    const base = { x: { title, more: this.by === "trial" ? { tickformat: "d" } : { tickformat: "~s" } }, y: { title: "value" }, legend: true };
+    const base = { x: { title, more: this.by === "trial" ? { tickformat: "d" } : { tickformat: "~s" } }, y: { title: this.value.title }, legend: true };
     if (this.by === "time") base.x.more = {};
     if (!points.length) return { traces: [], empty: "The first finished trial appears here.", ...base };
     const traces = [];
@@ -63,7 +63,7 @@ export class ValueChart {
       if (!of.length) continue;
       traces.push({
         type: "scatter", mode: "markers", name: state, x: of.map((p) => p.x), y: of.map((p) => p.trial.value), customdata: of.map((p) => p.trial.number),
-        text: of.map((p) => `trial ${p.trial.number}<br>value ${number(p.trial.value)}<br>${amount(p.trial.samples)} samples`), hoverinfo: "text",
+        text: of.map((p) => `trial ${p.trial.number}<br>${this.value.title} ${number(p.trial.value)}<br>${amount(p.trial.samples)} samples`), hoverinfo: "text",
         marker: { symbol: SYMBOLS[state], size: 7, color: colour(state === "cancelled" ? "queued" : state), opacity: 0.85, line: { width: 1.4, color: colour(state) } },
       });
     }

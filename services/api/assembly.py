@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 
 from fastapi import FastAPI
 
-from services.api import health, monitoring, routes, sockets
+from services.api import health, insights, monitoring, pulse, routes, sockets
 from services.api.errors import add_error_handlers
 from services.api.guard import Guard, Hosts
 from services.api.live import Hub
+from services.api.looks import Looks
 from services.api.service import Artifacts, Service, Submit, halma_version
+from services.api.tables import FinishedTrials
 from services.auth import Gatekeeper
 from services.store.port import Store
 
@@ -26,6 +28,7 @@ def create_api(
     on_change: Callable[[], None] | None = None,
     hosts: Collection[str] = (),
     open_paths: Collection[str] = (),
+    pools: Mapping[str, int] | None = None,
 ) -> FastAPI:
     """The API over a store.
 
@@ -37,6 +40,7 @@ def create_api(
         on_change: called after something was asked for.
         hosts: further names of this service, beside localhost and the machine's own.
         open_paths: paths that need no identity, beside the health checks.
+        pools: cores by worker pool, where they are known.
     """
     # FastAPI's own pages of documentation load their scripts from another host; the description itself is ours.
     app = FastAPI(
@@ -47,10 +51,22 @@ def create_api(
         docs_url=None,
         redoc_url=None,
     )
-    app.state.service = Service(store, artifacts, submit, on_change or (lambda: None), Hub(store))
+    trials = FinishedTrials(store)
+    app.state.service = Service(
+        store,
+        artifacts,
+        submit,
+        on_change or (lambda: None),
+        Hub(store),
+        trials,
+        Looks(store, trials),
+        dict(pools or {}),
+    )
     add_error_handlers(app)
     app.include_router(routes.router)
+    app.include_router(insights.router)
     app.include_router(monitoring.router, responses=routes.ERRORS)
+    app.include_router(pulse.router, responses=routes.ERRORS)
     app.include_router(sockets.router)
     app.include_router(health.router)
     app.add_middleware(Guard, gate=gate, hosts=Hosts.of_this_machine(hosts), open_paths=HEALTH | frozenset(open_paths))

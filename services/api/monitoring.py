@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import socket
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
+from pathlib import Path
 
 from fastapi import APIRouter, Response
+from pydantic import Field
 
 from services.api.models import Model, Position
 from services.api.service import Service, Uses
@@ -101,6 +105,103 @@ def _queued(row: StudyRow) -> QueueOut:
         running=row.counts.get(TrialState.RUNNING, 0),
         queued=row.counts.get(TrialState.QUEUED, 0),
     )
+
+
+class PoolOut(Model):
+    """A worker pool."""
+
+    name: str
+    cores: float | None = Field(description="none where this server doesn't know the pool")
+    held: float = Field(description="cores that running attempts hold")
+    running: int
+    queued: int
+
+
+class BusyOut(WorkerOut):
+    """An attempt that runs now, with what its process holds."""
+
+    cores: float
+    memory: int | None = Field(description="resident bytes; none where the process is on another machine")
+
+
+class ShareOut(QueueOut):
+    """A study's claim and what it has had."""
+
+    waiting: bool = Field(description="whether it has trials, or is itself, without a worker")
+    cores_held: float
+    cores_wanted: float = Field(description="at its full width")
+    core_seconds: float = Field(description="seconds of training times cores of a trial, so far")
+    samples: int
+
+
+class ClusterOut(Position):
+    """Pools, who is doing what, and what waits, highest priority first."""
+
+    host: str
+    pools: list[PoolOut]
+    workers: list[BusyOut]
+    queue: list[ShareOut]
+
+
+@router.get("/api/v1/cluster", tags=["service"])
+def cluster(service: Uses) -> ClusterOut:
+    """Pools, workers and what each is doing, the queue and the shares."""
+    cursor, history = service.store.last_event(), service.store.history_id()
+    studies = [row for row in service.store.studies() if row.state in {StudyState.QUEUED, StudyState.RUNNING}]
+    studies.sort(key=lambda row: (-row.priority, row.id))
+    here = socket.gethostname()
+    cores = {row.name: _cores(row) for row in studies}
+    busy = [
+        BusyOut(
+            **dict(worker),
+            cores=cores[row.name],
+            memory=resident(worker.pid) if worker.host == here else None,
+        )
+        for row in studies
+        for worker in _running(service, row)
+    ]
+    busy.sort(key=lambda worker: (worker.pool, worker.worker, worker.study, worker.trial))
+    queue = [_share(row, cores[row.name]) for row in studies]
+    pools = [
+        PoolOut(
+            name=name,
+            cores=service.pools.get(name),
+            held=sum(worker.cores for worker in busy if worker.pool == name),
+            running=sum(worker.pool == name for worker in busy),
+            queued=sum(share.queued for share in queue if share.pool == name),
+        )
+        for name in sorted({*service.pools, *(row.pool for row in studies)})
+    ]
+    return ClusterOut(cursor=cursor, history=history, host=here, pools=pools, workers=busy, queue=queue)
+
+
+def _cores(row: StudyRow) -> float:
+    """Cores of each of a study's trials."""
+    resources = row.spec.get("resources")
+    return float(resources.get("cpus", 1.0)) if isinstance(resources, Mapping) else 1.0
+
+
+def _share(row: StudyRow, cores: float) -> ShareOut:
+    queued = _queued(row)
+    return ShareOut(
+        **dict(queued),
+        waiting=row.state is StudyState.QUEUED or queued.queued > 0,
+        cores_held=queued.running * cores,
+        cores_wanted=queued.parallel * cores,
+        core_seconds=row.seconds * cores,
+        samples=row.samples,
+    )
+
+
+def resident(pid: int | None) -> int | None:
+    """Resident bytes of a process of this machine; None where it is gone or the system doesn't say."""
+    if pid is None:
+        return None
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    except (OSError, ValueError, IndexError):
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 @router.get("/metrics", tags=["service"], response_class=Response, responses={200: {"content": {"text/plain": {}}}})

@@ -34,7 +34,7 @@ from services.api.models import (
     TrialTable,
 )
 from services.api.service import Uses, halma_version
-from services.api.tables import FinishedTrials, csv_lines, table
+from services.api.tables import csv_lines, table
 from services.errors import BadInput
 from services.states import TrialState
 from services.store.port import TrialRow
@@ -152,33 +152,25 @@ def trials(
 
 
 @router.get("/studies/{study}/table", tags=["trials"], response_model=TrialTable)
-def trial_table(service: Uses, request: Request, study: Study) -> Response:
+def trial_table(service: Uses, study: Study) -> Response:
     """All trials as columns, for tables and charts."""
     cursor, history = service.store.last_event(), service.store.history_id()
-    rows = _finished(request, service).all_trials(service.store.study(study))
+    rows = service.trials.all_trials(service.store.study(study))
     # Encoded by hand: validating 50,000 rows of our own making would take longer than reading them.
     body = pydantic_core.to_json(table(rows, cursor=cursor, history=history))
     return Response(body, media_type="application/json")
 
 
 @router.get("/studies/{study}/trials.csv", tags=["trials"], response_class=StreamingResponse)
-def trials_csv(service: Uses, request: Request, study: Study) -> StreamingResponse:
+def trials_csv(service: Uses, study: Study) -> StreamingResponse:
     """All trials as CSV."""
     row = service.store.study(study)
-    rows = _finished(request, service).all_trials(row)
+    rows = service.trials.all_trials(row)
     return StreamingResponse(
         csv_lines(rows),
         media_type="text/csv; charset=utf-8",
         headers={"content-disposition": f'attachment; filename="{_file_name(row.name)}.csv"'},
     )
-
-
-def _finished(request: Request, service: Uses) -> FinishedTrials:
-    state = request.app.state
-    if not hasattr(state, "finished_trials"):
-        state.finished_trials = FinishedTrials(service.store)
-    known: FinishedTrials = state.finished_trials
-    return known
 
 
 @router.get("/studies/{study}/trials/{number}", tags=["trials"])
@@ -256,7 +248,7 @@ def _file_name(text: str) -> str:
 
 
 @router.get("/studies/{study}/strategies", tags=["studies"])
-def strategies(service: Uses, request: Request, study: Study) -> StrategyList:
+def strategies(service: Uses, study: Study) -> StrategyList:
     """The distinct strategies that a study has found; none where its task has no behaviour."""
     # The search's geometry comes with torch, which takes a second to import, once.
     from services.report import behaviour_of, distinct_trials  # noqa: PLC0415
@@ -266,8 +258,7 @@ def strategies(service: Uses, request: Request, study: Study) -> StrategyList:
     behaviour = behaviour_of(row)
     if behaviour is None:
         return StrategyList(cursor=cursor, history=history, distance=None, strategies=[])
-    finished = [trial for trial in _finished(request, service).all_trials(row) if trial.position is not None]
-    found = distinct_trials(row, sorted(finished, key=lambda trial: trial.position or 0))
+    found = distinct_trials(row, service.trials.history(row))
     return StrategyList(
         cursor=cursor,
         history=history,

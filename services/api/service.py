@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, Protocol, cast
@@ -11,6 +11,8 @@ from fastapi import Depends
 from fastapi.requests import HTTPConnection
 
 from services.api.live import Hub
+from services.api.looks import Looks
+from services.api.tables import FinishedTrials
 from services.store.port import ArtifactRow, Store, StudyRow
 
 
@@ -38,6 +40,9 @@ class Service:
         submit: takes study files; None where this server only shows.
         on_change: called after something was asked for, so that a driver need not poll fast.
         hub: live events.
+        trials: the finished trials of the studies last asked for.
+        looks: what searches have learnt.
+        pools: cores by worker pool; empty where this server doesn't know them.
     """
 
     store: Store
@@ -45,6 +50,9 @@ class Service:
     submit: Submit | None
     on_change: Callable[[], None]
     hub: Hub
+    trials: FinishedTrials
+    looks: Looks
+    pools: Mapping[str, int]
 
     def changed(self) -> None:
         """Tell the driver that something was asked for."""

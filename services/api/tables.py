@@ -38,18 +38,22 @@ class FinishedTrials:
 
     def all_trials(self, study: StudyRow) -> list[TrialRow]:
         """Every trial of a study, by number."""
-        key = (self._store.history_id(), study.id)
         # A trial that ends between the two reads would be in neither the other way round.
         unplaced = self._store.trials(study.id, states=UNPLACED)
+        known = {row.number: row for row in unplaced}
+        known.update({row.number: row for row in self.history(study)})
+        return [known[number] for number in sorted(known)]
+
+    def history(self, study: StudyRow) -> list[TrialRow]:
+        """The finished trials of a study, in order of position."""
+        key = (self._store.history_id(), study.id)
         with self._lock:
             finished = self._kept.setdefault(key, [])
             self._kept.move_to_end(key)
             finished.extend(self._store.history(study.id, start=len(finished)))
             while len(self._kept) > REMEMBERED:
                 self._kept.popitem(last=False)
-            known = {row.number: row for row in unplaced}
-            known.update({row.number: row for row in finished})
-        return [known[number] for number in sorted(known)]
+            return list(finished)
 
 
 def _epoch(at: datetime | None) -> float | None:

@@ -14,9 +14,9 @@ from services.cli.session import AsJson, Db, console, print_json, say
 from services.cli.words import value_of
 from services.doctor import Check, examine
 from services.errors import BadInput, HalmaError
+from services.problems import nearest
 from services.settings import find_settings
 from services.spec import json_schema
-from services.spec_file import nearest
 from services.store.open import upgrade
 from workers.contracts import BadJob, ParameterSpec, TaskInfo
 from workers.registry import list_tasks, load_task

@@ -23,7 +23,15 @@ def is_driven_elsewhere(row: StudyRow) -> bool:
     return row.driver is not None and lives(row.driver) is not False
 
 
-def drive_here(opened: Session, name: str, *, inline: bool, take_over: bool, cores: int | None = None) -> None:
+def drive_here(
+    opened: Session,
+    name: str,
+    *,
+    inline: bool,
+    take_over: bool,
+    cores: int | None = None,
+    ray_address: str | None = None,
+) -> None:
     """Drive a study to its end in this process and report; or say who does.
 
     Raises:
@@ -55,7 +63,8 @@ def drive_here(opened: Session, name: str, *, inline: bool, take_over: bool, cor
                 name,
                 inline=inline,
                 take_over=take_over,
-                pools=_pools(row, cores),
+                pools=_pools(row, cores) if cores or ray_address is None else None,
+                ray_address=ray_address,
             )
     except InterruptedByUser:
         raise InterruptedByUser(f"Interrupted; nothing that was finished is lost. Go on: halma resume {name}") from None

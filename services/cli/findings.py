@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from rich.console import RenderableType
+
 from services.cli.layout import Column, fitted
 from services.cli.session import Session, console, say
 from services.cli.tables import parameter_columns
@@ -20,6 +22,7 @@ from services.report import (
     findings,
     shown_details,
     spec_of,
+    strategy_name,
     units_of,
     value_name,
 )
@@ -41,7 +44,7 @@ def report(opened: Session, row: StudyRow) -> None:
         )
     if found:
         say()
-        _table(row, found)
+        console().print(findings_table(row, found, console().width))
         say()
         _picture(opened, row, found)
     ended = {name: n for name, n in sorted(row.counts.items()) if n}
@@ -61,10 +64,14 @@ def _headline(row: StudyRow, found: Sequence[Finding]) -> str:
     return f"{row.name} {state_words(row.state)}: {several(len(found), 'distinct strategy')} in {done}"
 
 
-def _table(row: StudyRow, found: Sequence[Finding]) -> None:
+def findings_table(row: StudyRow, found: Sequence[Finding], width: int) -> RenderableType:
+    """What a study found, one a line, in so many columns."""
     behaviour = behaviour_of(row)
     trials = [finding.trial for finding in found]
     columns = [Column("", [str(place) for place in range(1, len(found) + 1)])]
+    names = [strategy_name(trial) for trial in trials]
+    if any(names):
+        columns.append(Column("strategy", names, left=True))
     if behaviour is not None:
         columns.append(Column(feature_head(behaviour), [feature_words(trial.features, behaviour) for trial in trials]))
     columns.append(Column(value_name(found), [value_of(trial.value) for trial in trials]))
@@ -76,8 +83,7 @@ def _table(row: StudyRow, found: Sequence[Finding]) -> None:
     columns.append(Column("trial", [str(trial.number) for trial in trials]))
     if behaviour is not None:
         columns.append(Column("also found by", [_others(finding) for finding in found], rank=3, sentences=True))
-    screen = console()
-    screen.print(fitted(columns, screen.width))
+    return fitted(columns, width)
 
 
 def _others(finding: Finding) -> str:
@@ -114,9 +120,11 @@ def contact_sheet(opened: Session, row: StudyRow, found: Sequence[Finding]) -> P
             continue
         words = feature_words(trial.features, behaviour) if behaviour else value_of(trial.value)
         named = f"{behaviour.names[0]} {words}" if behaviour and len(behaviour.names) == 1 else words
+        name = strategy_name(trial)
         figures = {value_name(found): trial.value, **{name: trial.details[name] for name in details}}
         extra = ", ".join(f"{name.replace('_', ' ')} {detail_words(value)}" for name, value in figures.items())
-        tiles.append(Tile(data, f"{place}. {named}", f"trial {trial.number}, {extra}"))
+        caption = f"{named}, {extra}, trial {trial.number}" if name else f"trial {trial.number}, {extra}"
+        tiles.append(Tile(data, f"{place}. {name or named}", caption))
     if not tiles:
         return None
     try:

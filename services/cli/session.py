@@ -25,6 +25,16 @@ Db = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
+RayAddress = Annotated[
+    str | None,
+    typer.Option(
+        "--ray-address",
+        "--ray",
+        metavar="ADDRESS",
+        help="Work on the Ray cluster that this host has joined (HOST:PORT or auto) instead of a local Ray.",
+    ),
+]
+
 PIPED_WIDTH = 200
 """Columns where nobody's window says how many there are: tables in a pipe or a log shouldn't be cut."""
 

@@ -14,34 +14,37 @@ import typer
 from services.admission import admit, find, refuse_changes
 from services.cli.driving import drive_here
 from services.cli.findings import report
-from services.cli.session import AsJson, Db, print_json, say, session
+from services.cli.session import AsJson, Db, RayAddress, print_json, say, session
 from services.errors import BadInput, NameTaken
+from services.problems import BadStudy
 from services.settings import find_settings
-from services.spec_file import BadStudy, read_draft
+from services.spec_file import read_draft
 from services.states import StudyState
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Study file (YAML); `halma schema` describes it.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="FIELD=VALUE", help="Override a field, e.g. search.trials=4.")
 ]
-RayAddress = Annotated[
-    str | None, typer.Option("--ray", metavar="ADDRESS", help="Join this Ray cluster instead of starting a local Ray.")
+Profile = Annotated[
+    str | None, typer.Option("--profile", metavar="NAME", help="Which of the file's profiles to run, e.g. quick.")
 ]
 NewName = Annotated[str | None, typer.Option("--name", help="Name of the study, instead of the one in the file.")]
 
 
 def run(
     file: File,
+    profile: Profile = None,
     overrides: Overrides = None,
     name: NewName = None,
     inline: Annotated[bool, typer.Option("--inline", help="Run trials in this process, without Ray.")] = False,
     cores: Annotated[int | None, typer.Option("--cores", min=1, help="Cores to use; default: all.")] = None,
+    ray: RayAddress = None,
     db: Db = None,
 ) -> None:
     """Run a study here: start it, resume it where it was interrupted, or show it where it is finished."""
     from services.spec_check import check  # noqa: PLC0415 - the search and the task, which take seconds to import
 
-    read = read_draft(file, _with_name(overrides, name))
+    read = read_draft(file, _overridden_by(overrides, name, profile))
     spec = check(read)
     with session(db) as opened:
         row = find(opened.store, spec.name)
@@ -52,11 +55,12 @@ def run(
             if row.state is StudyState.COMPLETE:
                 report(opened, row)
                 return
-        drive_here(opened, spec.name, inline=inline, take_over=False, cores=cores)
+        drive_here(opened, spec.name, inline=inline, take_over=False, cores=cores, ray_address=ray)
 
 
 def submit(
     file: File,
+    profile: Profile = None,
     overrides: Overrides = None,
     name: NewName = None,
     server: Annotated[
@@ -68,7 +72,7 @@ def submit(
     from services.client import Client  # noqa: PLC0415 - HTTP, which other commands don't speak
 
     settings = find_settings()
-    given = _with_name(overrides, name)
+    given = _overridden_by(overrides, name, profile)
     # What can be told from the form alone is told here, also where no service runs; the rest is the service's to check.
     read = read_draft(file, given)
     if read.problems:
@@ -93,7 +97,11 @@ def serve(
     ] = None,
     pools: Annotated[
         list[str] | None,
-        typer.Option("--pool", metavar="NAME=CORES", help="A worker pool; default: default=all cores."),
+        typer.Option(
+            "--pool",
+            metavar="NAME=CORES",
+            help="A worker pool; default: default=all cores, or the pools of the cluster as its hosts come and go.",
+        ),
     ] = None,
     hosts: Annotated[
         list[str] | None, typer.Option("--allow-host", help="A further name under which browsers reach the service.")
@@ -105,7 +113,7 @@ def serve(
     from services import serving  # noqa: PLC0415 - the web framework takes a second to import
     from services.ray_environment import prepare  # noqa: PLC0415 - as above
 
-    sizes = read_pools(pools or []) or {"default": os.cpu_count() or 1}
+    sizes = read_pools(pools or []) or ({"default": os.cpu_count() or 1} if ray is None else None)
     settings = find_settings(db)
     listen = serving.PORT if port is None else port
 
@@ -118,11 +126,18 @@ def serve(
         with coordinator_serving(settings.database, settings.artifacts, folder, sizes, ray_address=ray):
             yield
 
-    serving.serve(settings, start_coordinator=coordinator, say=say, host=host, port=listen, hosts=hosts or [])
+    serving.serve(
+        settings, start_coordinator=coordinator, say=say, host=host, port=listen, hosts=hosts or [], pools=sizes
+    )
 
 
-def _with_name(overrides: list[str] | None, name: str | None) -> list[str]:
-    return [*(overrides or []), *([f"name={json.dumps(name)}"] if name is not None else [])]
+def _overridden_by(overrides: list[str] | None, name: str | None, profile: str | None) -> list[str]:
+    """All that the command line says of a study's fields, as overrides."""
+    return [
+        *(overrides or []),
+        *([f"name={json.dumps(name)}"] if name is not None else []),
+        *([f"profile={profile}"] if profile is not None else []),
+    ]
 
 
 def read_pools(texts: list[str]) -> dict[str, int]:

@@ -9,11 +9,13 @@ import typer
 
 from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
-from services.cli.session import AsJson, Db, Session, console, print_json, print_json_line, say, session
+from services.cli.findings import findings_table
+from services.cli.session import AsJson, Db, RayAddress, Session, console, print_json, print_json_line, say, session
 from services.cli.tables import done_of, fields_table, state_text, studies_table, trials_table
 from services.cli.words import count, duration, several, state_words, value_of
 from services.driver import this_process
 from services.errors import BadInput, Refused, StudyDriven, WrongState
+from services.lineage import lineage_words
 from services.listings import event_json, study_json, trial_json
 from services.report import behaviour_of, distinct_trials, units_of
 from services.states import LIVE_STUDY, OBSERVED_TRIAL, StudyState, TrialState
@@ -56,6 +58,7 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
             print_json(study_json(row, spec=True))
             return
         found = distinct_trials(row, opened.store.history(row.id))
+        lineage = lineage_words(opened.store.trials(row.id))
     search = row.spec.get("search", {})
     fields = {
         "study": row.name,
@@ -63,12 +66,14 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         "note": row.reason or None,
         "task": row.spec.get("task", {}).get("name"),
         "strategy": search.get("strategy"),
+        "profile": row.spec.get("profile"),
         "trials": f"{done_of(row)} ({', '.join(f'{count(n)} {state}' for state, n in sorted(row.counts.items()) if n)})"
         if row.counts
         else done_of(row),
         "best value": None if row.best_value is None else value_of(row.best_value),
         "distinct": several(len(found), "strategy") if behaviour_of(row) else None,
         "cost": f"{count(row.samples)} samples, {duration(row.seconds)} of training",
+        "warm starts": lineage,
         "driven by": f"process {row.driver.pid} on {row.driver.host}" if row.driver else None,
         "seed": str(row.seed),
         "created": row.created_at.astimezone().strftime("%Y-%m-%d %H:%M:%S"),
@@ -76,6 +81,10 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
     }
     console().print(fields_table({name: value for name, value in fields.items() if value is not None}))
     say()
+    if found:
+        screen = console()
+        screen.print(findings_table(row, found, screen.width))
+        say()
     say(f"Next: {what_next(row)}")
 
 
@@ -207,6 +216,7 @@ def resume(
     take_over: Annotated[
         bool, typer.Option("--take-over", help="Take the study from a driver that seems to live.")
     ] = False,
+    ray: RayAddress = None,
     db: Db = None,
 ) -> None:
     """Go on with a study that was paused, interrupted, cancelled or extended."""
@@ -218,4 +228,4 @@ def resume(
                 f"resume: expected a study with budget left, found {name} complete after {several(done, 'trial')}; "
                 f"look at it with `halma show {name}`, or give it more with `halma extend {name} --trials 10`"
             )
-        drive_here(opened, name, inline=inline, take_over=take_over)
+        drive_here(opened, name, inline=inline, take_over=take_over, ray_address=ray)

@@ -90,11 +90,21 @@ def feature_columns(trials: Sequence[TrialRow], behaviour: Behaviour | None) -> 
     ]
 
 
+def parent_of(trial: TrialRow) -> str:
+    """The trial whose policy it started from; `(statistics)` where its networks have other sizes and began anew."""
+    if trial.warm_start is None:
+        return "-"
+    taken = trial.details.get("warm_start")
+    anew = isinstance(taken, Mapping) and taken.get("networks") is False
+    return f"{trial.warm_start} (statistics)" if anew else str(trial.warm_start)
+
+
 def trials_table(
     rows: Sequence[TrialRow], behaviour: Behaviour | None, units: Mapping[str, str], width: int
 ) -> RenderableType:
     """`halma trials`."""
     with_z = any(trial.z is not None for trial in rows)
+    with_parents = any(trial.warm_start is not None for trial in rows)
     return fitted(
         [
             Column("trial", [str(trial.number) for trial in rows]),
@@ -102,6 +112,7 @@ def trials_table(
             Column("value", [value_of(trial.value) for trial in rows]),
             *feature_columns(rows, behaviour),
             *([Column("z", [value_of(trial.z) for trial in rows])] if with_z else []),
+            *([Column("from", [parent_of(trial) for trial in rows], left=True)] if with_parents else []),
             *parameter_columns(rows, units, rank=2),
             Column("samples", [count(trial.samples) for trial in rows], rank=4),
             Column("time", [duration(trial.seconds) for trial in rows], rank=3),

@@ -26,9 +26,12 @@ class InlineDispatcher:
     def pools(self) -> dict[str, int]:
         return dict(self._pools)
 
-    def free(self, pool: str) -> float:
+    def rooms(self, pool: str) -> dict[str, float]:
         taken = sum(assignment.cpus for assignment in self._waiting if assignment.pool == pool)
-        return self._pools.get(pool, 0) - taken
+        return {"inline": self._pools.get(pool, 0) - taken}
+
+    def open(self, study_key: str, task: str) -> None:
+        """The code is in this process already."""
 
     def start(self, assignment: Assignment) -> str:
         self._waiting.append(assignment)

@@ -7,7 +7,7 @@ the other side to hand it code.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Protocol
 
@@ -155,8 +155,14 @@ class Dispatcher(Protocol):
     def pools(self) -> dict[str, int]:
         """Names and sizes (cores) of the pools."""
 
-    def free(self, pool: str) -> float:
-        """Cores of a pool that nothing runs on."""
+    def rooms(self, pool: str) -> Mapping[str, float]:
+        """Cores of a pool that nothing runs on, by host; hosts without any may be missing."""
+
+    def open(self, study_key: str, task: str) -> None:
+        """Make ready for trials of a study: its task's code as it is now is what all of them run.
+
+        Raises `BadInput` where the code can't be sent to workers.
+        """
 
     def start(self, assignment: Assignment) -> str:
         """Hand an attempt to a worker of its pool; returns the worker's name."""

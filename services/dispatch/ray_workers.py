@@ -1,7 +1,8 @@
 """Runs trials in Ray worker processes: one long-lived actor a slot, messages back to the coordinator's mailbox.
 
 Text goes over the wire (see `services.dispatch.port`); Ray only carries it. A worker process is kept between trials
-because importing the physics and torch costs seconds; it is ended when a trial is ended by force.
+because importing the physics and torch costs seconds; it is ended when a trial is ended by force. The coordinator
+decides which host a worker runs on, so that it knows what fits; hosts may join and leave (`services.dispatch.hosts`).
 """
 
 from __future__ import annotations
@@ -10,25 +11,30 @@ import os
 import queue
 import sys
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import ray
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from services.artifacts import open_artifacts
+from services.dispatch.hosts import DEFAULT_POOL, Hosts, best_fit, pool_resource
 from services.dispatch.port import (
     Assignment,
     Deliver,
     Message,
+    Stopped,
     Vanished,
     decode,
     decode_assignment,
     encode,
     encode_assignment,
 )
+from services.dispatch.relay import Keeper, artifacts_here, start_keeper
 from services.dispatch.runtime import Attempt
+from services.shipping import Bundle, collect, unpack
 
 Mailbox = Any
 """An actor handle with a method `receive(text)`."""
@@ -37,24 +43,30 @@ BATCH = 256
 """At most so many messages share a commit, so that a flood doesn't hold the write lock for long."""
 
 
-def pool_resource(pool: str) -> str:
-    """Name of the Ray resource that marks the nodes of a pool; the default pool takes any node."""
-    return f"pool:{pool}"
-
-
 class Worker:
     """A worker process, as a Ray actor. One attempt at a time; `stop` gets through while it runs.
 
     Args:
-        artifact_root: where trials leave their files.
-        directory: the submitter's working directory: users' own task modules are found there.
+        artifact_root: where trials leave their files, as the head calls it.
+        identity: of that root.
+        keeper: carries files to the head for a worker on another host; None on the head's own.
+        code: users' own task modules, for a worker on another host.
+        directory: the submitter's working directory, where a worker on the head's host finds them.
         mailbox: who is told.
     """
 
-    def __init__(self, artifact_root: str, directory: str, mailbox: Mailbox) -> None:
-        if directory not in sys.path:
-            sys.path.insert(0, directory)
-        self._artifacts = open_artifacts(artifact_root)
+    def __init__(
+        self,
+        artifact_root: str,
+        identity: str,
+        keeper: Keeper | None,
+        code: tuple[str, bytes] | None,
+        directory: str,
+        mailbox: Mailbox,
+    ) -> None:
+        places = [directory] if keeper is None else [str(unpack(Bundle(*code)))] if code is not None else []
+        sys.path[:0] = [place for place in places if place not in sys.path]
+        self._artifacts = artifacts_here(artifact_root, identity, keeper)
         self._mailbox = mailbox
         self._running: Attempt | None = None
         self._stopped: int | None = None
@@ -85,13 +97,22 @@ class Worker:
         self._mailbox.receive.remote(encode(message))
 
 
+@dataclass(frozen=True, slots=True)
+class _Shape:
+    """What makes one worker process as good as another: its pool, its cores, the code it has imported."""
+
+    pool: str
+    cpus: float
+    code: str
+
+
 @dataclass(slots=True)
 class _Slot:
     """A worker actor and what it holds."""
 
     actor: Any
-    pool: str
-    cpus: float
+    shape: _Shape
+    host: str
     assignment: Assignment | None = None
 
 
@@ -100,19 +121,27 @@ class RayDispatcher:
     """The `Dispatcher` on a Ray cluster.
 
     Args:
-        artifact_root: where trials leave their files, as the workers reach it.
+        artifact_root: where trials leave their files, as the head calls it.
+        identity: of that root.
         directory: the submitter's working directory.
-        sizes: cores of each pool.
+        hosts: where workers may run.
+        head: the host of this process.
         mailbox: actor handle whose `receive` ends in `put`.
     """
 
     artifact_root: str
+    identity: str
     directory: str
-    sizes: dict[str, int]
+    hosts: Hosts
+    head: str
     mailbox: Mailbox
     _inbox: queue.SimpleQueue[Message | None] = field(default_factory=queue.SimpleQueue)
     _busy: dict[int, _Slot] = field(default_factory=dict)
-    _idle: dict[tuple[str, float], list[_Slot]] = field(default_factory=lambda: defaultdict(list))
+    _idle: dict[_Shape, list[_Slot]] = field(default_factory=lambda: defaultdict(list))
+    _code: dict[str, Bundle | None] = field(default_factory=dict)
+    _sent: dict[str, Any] = field(default_factory=dict)
+    """Bundles in the object store, by hash."""
+    _keeper: Keeper | None = None
 
     def put(self, text: str) -> None:
         """A message has arrived. Called from the mailbox's thread."""
@@ -123,34 +152,86 @@ class RayDispatcher:
         self._inbox.put(None)
 
     def pools(self) -> dict[str, int]:
-        return dict(self.sizes)
+        return self.hosts.pools()
 
-    def free(self, pool: str) -> float:
-        return self.sizes.get(pool, 0) - sum(slot.cpus for slot in self._busy.values() if slot.pool == pool)
+    def rooms(self, pool: str) -> dict[str, float]:
+        return self.hosts.rooms(pool, self._cores(pool, self._busy.values()))
+
+    @staticmethod
+    def _cores(pool: str, slots: Iterable[_Slot]) -> dict[str, float]:
+        """Cores of a pool that these hold on each host."""
+        cores: dict[str, float] = defaultdict(float)
+        for slot in slots:
+            if slot.shape.pool == pool:
+                cores[slot.host] += slot.shape.cpus
+        return cores
+
+    def open(self, study_key: str, task: str) -> None:
+        self._code[study_key] = collect(Path(self.directory), task)
 
     def start(self, assignment: Assignment) -> str:
-        slot = self._slot(assignment.pool, assignment.cpus)
+        slot = self._slot(assignment)
+        if slot is None:
+            # The host that had room has just left: back into the queue, and no retry counted.
+            self._inbox.put(Stopped(assignment.attempt, assignment.token))
+            return assignment.pool
         slot.assignment = assignment
         self._busy[assignment.attempt] = slot
         reference = slot.actor.run.remote(encode_assignment(assignment))
         reference.future().add_done_callback(self._when_over(assignment))
         return assignment.pool
 
-    def _slot(self, pool: str, cpus: float) -> _Slot:
-        idle = self._idle[pool, cpus]
-        if idle:
-            return idle.pop()
-        # Idle workers of another shape hold cores that this one needs.
-        for shape, slots in self._idle.items():
-            while shape[0] == pool and slots:
-                ray.kill(slots.pop().actor)
-        resources = {} if pool == "default" else {pool_resource(pool): cpus}
+    def _slot(self, assignment: Assignment) -> _Slot | None:
+        """A worker for the assignment: one that waits, or a new one on the host where it fits best."""
+        bundle = self._code.get(assignment.study_key)
+        shape = _Shape(assignment.pool, assignment.cpus, "" if bundle is None else bundle.sha256)
+        rooms = self.rooms(shape.pool)
+        idle = self._idle[shape]
+        while idle:
+            slot = idle.pop()
+            if rooms.get(slot.host, 0.0) >= shape.cpus:
+                return slot
+            ray.kill(slot.actor)  # its host has left, or has less room than it had
+        host = best_fit(rooms, shape.cpus)
+        if host is None:
+            return None
+        self._make_room(host, shape)
+        return self._new_slot(host, shape, bundle)
+
+    def _make_room(self, host: str, shape: _Shape) -> None:
+        """End idle workers of other shapes that hold the cores that this one needs."""
+        pool = shape.pool
+        others = [slot for slots in self._idle.values() for slot in slots if slot.host == host]
+        others = [slot for slot in others if slot.shape.pool == pool]
+        room = self.hosts.size(host, pool) - self._cores(pool, self._busy.values()).get(host, 0.0)
+        room -= sum(slot.shape.cpus for slot in others)
+        for slot in others:
+            if room >= shape.cpus:
+                return
+            self._idle[slot.shape].remove(slot)
+            ray.kill(slot.actor)
+            room += slot.shape.cpus
+
+    def _new_slot(self, host: str, shape: _Shape, bundle: Bundle | None) -> _Slot:
+        resources = {} if shape.pool == DEFAULT_POOL else {pool_resource(shape.pool): shape.cpus}
         # Two threads, so that `stop` gets through while `run` runs.
         shaped = ray.remote(Worker).options(
-            num_cpus=cpus, resources=resources, max_concurrency=2, max_restarts=0, max_task_retries=0
+            num_cpus=shape.cpus,
+            resources=resources,
+            max_concurrency=2,
+            max_restarts=0,
+            max_task_retries=0,
+            scheduling_strategy=NodeAffinitySchedulingStrategy(host, soft=False),
         )
-        actor = shaped.remote(self.artifact_root, self.directory, self.mailbox)
-        return _Slot(actor, pool, cpus)
+        keeper = code = None
+        if host != self.head:
+            keeper = self._keeper = self._keeper or start_keeper(self.artifact_root, self.head)
+            if bundle is not None:
+                if bundle.sha256 not in self._sent:
+                    self._sent[bundle.sha256] = ray.put((bundle.sha256, bundle.data))
+                code = self._sent[bundle.sha256]
+        actor = shaped.remote(self.artifact_root, self.identity, keeper, code, self.directory, self.mailbox)
+        return _Slot(actor, shape, host)
 
     def _when_over(self, assignment: Assignment) -> Callable[[Future[None]], None]:
         """`run` says everything by messages; only its failure to return says something more: the process is gone."""
@@ -211,9 +292,15 @@ class RayDispatcher:
         del self._busy[message.attempt]
         slot.assignment = None
         if kind != "Vanished":
-            self._idle[slot.pool, slot.cpus].append(slot)
+            self._idle[slot.shape].append(slot)
+            return
+        # A connection that broke looks the same from here: what goes on behind it must not keep the cores.
+        ray.kill(slot.actor)
+        if slot.host != self.head:
+            self.hosts.doubt(slot.host)
 
     def close(self) -> None:
+        self.hosts.close()
         for slot in [*self._busy.values(), *(slot for slots in self._idle.values() for slot in slots)]:
             ray.kill(slot.actor)
         self._busy.clear()

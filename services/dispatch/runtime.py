@@ -118,9 +118,9 @@ class WorkerContext:
                 try:
                     return self._artifacts.read(artifact)
                 except ArtifactDamaged as error:
-                    raise BadJob(f"The parent trial's {name} can't be used: {error}") from error
+                    raise BadJob(f"its {name} can't be used: {error}") from error
         found = ", ".join(artifact.name for artifact in self._assignment.parent_artifacts) or "nothing"
-        raise BadJob(f"Expected the parent trial to have left {name}, found {found}.")
+        raise BadJob(f"expected it to have left {name}, found {found}")
 
     def log(self, message: str) -> None:
         self._log.append(message)

@@ -7,28 +7,59 @@ import os
 import uuid
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import fsspec
 import pytest
+import ray
 from hypothesis import given
 from hypothesis import strategies as st
 
 from services.artifacts import FolderArtifacts, ObjectArtifacts, open_artifacts, study_key
-from services.errors import ArtifactDamaged, BadInput
+from services.dispatch.relay import KeeperActor, RelayedArtifacts, artifacts_here
+from services.errors import ArtifactDamaged, BadInput, StorageUnavailable
 
 KEY = "1-jump"
 POLICY = b"weights" * 100
 
 
-@pytest.fixture(params=["folder", "memory"])
-def files(request, tmp_path):
-    url = str(tmp_path / "artifacts") if request.param == "folder" else f"memory://{uuid.uuid4().hex}/artifacts"
-    return open_artifacts(url)
+class Wire:
+    """An actor handle whose calls are made at once: what Ray does, without Ray."""
+
+    def __init__(self, actor):
+        self._actor = actor
+
+    def __getattr__(self, name):
+        def remote(*arguments):
+            try:
+                return getattr(self._actor, name)(*arguments), None
+            except Exception as error:  # noqa: BLE001 - whatever the actor raises crosses the wire
+                return None, error
+
+        return SimpleNamespace(remote=remote)
+
+
+def answer(reference):
+    found, error = reference
+    if error is not None:
+        raise ray.exceptions.RayTaskError("call", "traceback", error).as_instanceof_cause()
+    return found
+
+
+@pytest.fixture(params=["folder", "memory", "relayed"])
+def files(request, tmp_path, monkeypatch):
+    if request.param == "memory":
+        return open_artifacts(f"memory://{uuid.uuid4().hex}/artifacts")
+    root = str(tmp_path / "artifacts")
+    if request.param == "folder":
+        return open_artifacts(root)
+    monkeypatch.setattr("services.dispatch.relay.ray.get", answer)
+    return RelayedArtifacts(Wire(KeeperActor(root)), root)
 
 
 def overwrite(files, path, data):
     """What a bad disk, or somebody with an editor, does."""
-    if isinstance(files, FolderArtifacts):
+    if not isinstance(files, ObjectArtifacts):
         Path(files.url, path).write_bytes(data)
     else:
         fsspec.filesystem("memory").pipe_file(f"{files.url}/{path}", data)
@@ -166,6 +197,45 @@ class TestCheckpoints:
         files.put_checkpoint(KEY, 3, 1, b"state 1")
         files.drop_checkpoints(KEY, 3)
         assert files.read(kept) == b"mine"
+
+
+class TestIdentity:
+    def test_a_root_without_a_mark_has_none(self, files):
+        assert files.identity() == ""
+
+    def test_a_root_keeps_the_identity_it_was_given_and_does_not_list_it(self, files):
+        identity = files.mark()
+        assert identity
+        assert files.mark() == files.identity() == identity
+        assert list(files.paths()) == []
+
+    def test_two_roots_differ(self, files, tmp_path):
+        assert files.mark() != open_artifacts(tmp_path / "other").mark()
+
+    def test_a_worker_that_sees_the_same_root_writes_there_itself(self, tmp_path):
+        identity = open_artifacts(tmp_path / "a").mark()
+        (tmp_path / "mounted-elsewhere").symlink_to(tmp_path / "a")
+        here = artifacts_here(str(tmp_path / "mounted-elsewhere"), identity, keeper=object())
+        assert isinstance(here, FolderArtifacts)
+
+    def test_a_worker_that_sees_another_root_or_none_sends_its_files_to_the_head(self, tmp_path):
+        identity = open_artifacts(tmp_path / "a").mark()
+        open_artifacts(tmp_path / "b").mark()
+        for root in ("b", "nothing"):
+            assert isinstance(artifacts_here(str(tmp_path / root), identity, keeper=object()), RelayedArtifacts)
+        assert isinstance(artifacts_here(str(tmp_path / "b"), identity, keeper=None), FolderArtifacts)
+
+
+class TestObjects:
+    def test_a_server_that_is_away_is_storage_that_is_unavailable(self, monkeypatch):
+        files = open_artifacts(f"memory://{uuid.uuid4().hex}/artifacts")
+
+        def away(*_, **__):
+            raise LookupError("no endpoint")
+
+        monkeypatch.setattr(files._files, "pipe_file", away)
+        with pytest.raises(StorageUnavailable, match=r"can be written, found: LookupError: no endpoint"):
+            files.put(KEY, 3, "a", b"x")
 
 
 class TestFolder:

@@ -100,7 +100,7 @@ class TestStudies:
         Record(service.store, service.artifacts, "better").begin().one(value=0.9)
         page = ready(browser, "/")
         page.click("th[data-sort=best]")
-        names = page.locator("#studies tbody tr a")
+        names = page.locator("#studies tbody td:first-child a")
         expect(names).to_have_text(["better", "jump"])
         page.click("th[data-sort=best]")
         expect(names).to_have_text(["jump", "better"])
@@ -425,17 +425,17 @@ def contrast(one, other):
     return (light + 0.05) / (dark + 0.05)
 
 
-class TestParameters:
+class TestSearchAndQuality:
     def test_any_two_are_shown_with_what_runs_and_what_failed(self, browser, record):
         for _ in range(3):
             record.one()
         record.one(state=TrialState.DIVERGED)
         record.start(record.propose(2, mode="diversify")[0])
-        page = ready(browser, "/studies/jump/parameters")
-        expect(page.locator("#map .legendtext")).to_have_text(["finished", "diverged", "running", "queued"])
+        page = ready(browser, "/studies/jump/search")
+        expect(page.locator("#map .legendtext")).to_have_text(
+            ["finished", "diverged", "running", "queued", "next proposal"]
+        )
         expect(page.locator("#why .legendtext")).to_have_text(["explore", "diversify"])
-        expect(page.locator("#lines polyline")).to_have_count(3)
-        expect(page.locator("#each [data-parameter]")).to_have_count(2)
         page.select_option("#map-x", "alpha")
         page.select_option("#map-y", "omega_x")
         expect(page.locator("#map .xtitle")).to_have_text("alpha (rad)")
@@ -446,7 +446,9 @@ class TestParameters:
     def test_a_range_on_an_axis_picks_the_lines_through_it(self, browser, record):
         for value in (0.1, 0.5, 0.9):
             record.one(value=value)
-        page = ready(browser, "/studies/jump/parameters")
+        page = ready(browser, "/studies/jump/quality")
+        expect(page.locator("#lines polyline")).to_have_count(3)
+        expect(page.locator("#each [data-parameter]")).to_have_count(2)
         box = page.locator("[data-axis=value]").bounding_box()
         x = box["x"] + box["width"] / 2
         page.mouse.move(x, box["y"] + 1)
@@ -457,13 +459,13 @@ class TestParameters:
         expect(page.locator(f"#lines polyline[stroke='{chosen}']")).to_have_count(1)
 
 
-class TestWorkers:
+class TestCluster:
     def test_they_come_and_go(self, browser, record):
-        page = ready(browser, "/workers")
+        page = ready(browser, "/cluster")
         expect(page.locator("#idle")).to_be_visible()
         (trial,) = record.propose()
         attempt = record.start(trial)
-        expect(page.locator("#workers tbody")).to_contain_text("default-0 on runner (process 99)")
+        expect(page.locator("#workers tbody")).to_contain_text("default-0runner (process 99)")
         record.finish(attempt, trial, value=0.5, features=(0.1,))
         expect(page.locator("#idle")).to_be_visible()
         browser.assert_calm()
@@ -475,7 +477,7 @@ class TestPictures:
         page = ready(browser, "/studies/jump")
         expect(page.locator("#value-chart .points path")).to_have_count(1)
         with page.expect_download() as download:
-            page.click("text=Save as SVG")
+            page.click("[aria-labelledby=h-value] [data-save=svg]")
         assert download.value.suggested_filename == "jump-value.svg"
         assert b"<svg" in download.value.path().read_bytes()[:200]
         browser.assert_calm()

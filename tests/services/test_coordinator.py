@@ -42,9 +42,12 @@ class Scripted:
     def pools(self):
         return {"default": self.size}
 
-    def free(self, pool):
+    def rooms(self, pool):
         busy = {assignment.attempt for assignment in self.given if assignment.pool == pool} - self.over
-        return self.size - len(busy)
+        return {"host": self.size - len(busy)}
+
+    def open(self, study_key, task):
+        pass
 
     def start(self, assignment):
         self.given.append(assignment)
@@ -246,6 +249,25 @@ def test_a_trial_that_loses_every_worker_becomes_a_failure_on_record(world):
     trial = world.trials()[0]
     assert (trial.state, trial.position) == (TrialState.FAILED, 0)
     assert trial.message == "its worker was lost 2 times; the last time: no memory"
+
+
+@pair
+def test_a_trial_that_comes_further_each_time_may_lose_any_number_of_workers(world):
+    for iteration in range(1, 6):
+        world.steps()
+        given = [assignment for assignment in world.dispatcher.given if assignment.trial == 0][-1]
+        world.dispatcher.inbox += [
+            Reported(given.attempt, given.token, iteration=iteration, metrics={}, samples=iteration, seconds=0.1),
+            Vanished(given.attempt, given.token, reason="the host went home"),
+        ]
+        world.steps(4)
+    assert world.attempts(0)[:5] == [AttemptState.LOST] * 5
+    assert world.trials()[0].state is TrialState.RUNNING
+    for _ in range(2):  # and then it gets nowhere twice
+        given = [assignment for assignment in world.dispatcher.given if assignment.trial == 0][-1]
+        world.dispatcher.inbox.append(Vanished(given.attempt, given.token, reason="gone"))
+        world.steps(4)
+    assert (world.trials()[0].state, world.trials()[0].retries) == (TrialState.FAILED, 7)
 
 
 @pair

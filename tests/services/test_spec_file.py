@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.problems import BadStudy
 from services.spec import AngleParameter, FloatParameter, StudySpec, json_schema
-from services.spec_file import BadStudy, draft, read_draft
+from services.spec_file import draft, read_draft
 
 GOOD = """\
 name: quick
@@ -231,7 +232,11 @@ def test_a_folder_and_a_binary_file_are_no_study_files(tmp_path):
 
 def test_the_schema_offers_what_the_reader_accepts():
     schema = json_schema()
-    assert set(schema["properties"]) == set(StudySpec.model_fields)
+    assert set(schema["properties"]) == {*StudySpec.model_fields, "profiles"}
+    profile = schema["properties"]["profiles"]["additionalProperties"]
+    assert set(profile["properties"]) == set(StudySpec.model_fields) - {"profile"}
+    assert "required" not in json.dumps(profile)
+    assert "$ref" not in json.dumps(profile)
     assert schema["additionalProperties"] is False
     assert {"type": "string"} in schema["$defs"]["TaskChoice"]["anyOf"]
     text = json.dumps(schema["properties"]["space"])

@@ -132,10 +132,19 @@ class TestWarmStart:
     def test_it_pays_for_no_warm_up(self, tmp_path, parent):
         assert self.child(tmp_path)[0].cost.samples == 48
 
+    def test_it_tells_its_lineage_also_after_it_was_resumed(self, tmp_path, parent):
+        told = {"warm_start": {"parent": 0, "networks": True, "message": "started from the parent's policy"}}
+        assert self.child(tmp_path)[0].lineage == told
+        assert self.child(tmp_path)[0].lineage == told  # again from its checkpoint, which is its last
+
+    def test_a_training_from_scratch_has_no_lineage(self, tmp_path):
+        assert train(job(), LocalContext(tmp_path), ToyProblem(), settings(1)).lineage == {}
+
     def test_with_other_hidden_layers_it_keeps_the_statistics_and_says_so(self, tmp_path, parent):
         trained, context = self.child(tmp_path, network={"hidden": [5]}, normaliser_iterations=0)
         assert trained.policy.normaliser.count == parent.normaliser.count
         assert trained.policy.hidden == (5,)
+        assert trained.lineage["warm_start"]["networks"] is False
         assert "started from new networks" in (context.folder / "log.txt").read_text()
 
     def test_a_parent_with_other_actions_is_refused(self, tmp_path, parent):

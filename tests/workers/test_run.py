@@ -49,7 +49,10 @@ def test_a_divergence_is_an_outcome_with_iteration_and_quantity(tmp_path):
         ({"task": "no_such"}, "task 'no_such': unknown"),
         ({"task": here("slope"), "params": {}}, "space.: expected at least one parameter"),
         ({"task": here("Target"), "training": {"budget": {"samples": 0}}}, "training.budget.samples: expected a whole"),
-        ({"task": here("Target"), "training": QUICK, "parent": 4}, "parent: expected its policy.safetensors"),
+        (
+            {"task": here("Target"), "training": QUICK, "parent": 4},
+            "warm start from trial 4: parent: expected its policy.safetensors",
+        ),
     ],
 )
 def test_a_job_that_cannot_be_run_as_it_stands_has_failed_for_good(tmp_path, fields, message):

@@ -76,6 +76,19 @@ class Batch:
     returns: torch.Tensor
 
 
+@dataclass(frozen=True, slots=True)
+class WarmStart:
+    """What a training took over from its parent.
+
+    Args:
+        networks: whether actor and critic were; the observation statistics always are.
+        message: in a sentence, for people.
+    """
+
+    networks: bool
+    message: str
+
+
 class Learner:
     """Both networks, their optimisers and the statistics: what learns.
 
@@ -240,8 +253,8 @@ class Learner:
         z = (actions - output) * (-log_sigma).exp()
         return -0.5 * z.square().sum(1) - log_sigma.sum(), log_sigma.sum()
 
-    def warm_start(self, parent: Policy) -> str:
-        """Take over a parent's networks and statistics; what was taken, for the log.
+    def warm_start(self, parent: Policy) -> WarmStart:
+        """Take over a parent's networks and statistics; tells what was taken.
 
         Raises `BadJob` where observations or actions are of other sizes. With other hidden layers only the statistics
         can be taken over.
@@ -250,7 +263,7 @@ class Learner:
         found = (parent.observation_size, parent.actions.kind, parent.actions.size)
         if wanted != found:
             raise BadJob(
-                "parent: expected a policy of {} observations and {} actions of size {}, found {}, {}, {}; "
+                "expected a policy of {} observations and {} actions of size {}, found {}, {}, {}; "
                 "start from a trial of the same task and settings".format(*wanted, *found)
             )
         self.normaliser = Normaliser(
@@ -258,13 +271,14 @@ class Learner:
         )
         hidden = tuple(len(bias) for _, bias in self.actor.layers[:-1])
         if (parent.hidden, parent.activation) != (hidden, self.activation):
-            return (
-                f"the parent's networks are {parent.activation} {list(parent.hidden)}, ours {self.activation} "
-                f"{list(hidden)}: started from new networks, with the parent's observation statistics"
+            return WarmStart(
+                networks=False,
+                message=f"the parent's networks are {parent.activation} {list(parent.hidden)}, ours {self.activation} "
+                f"{list(hidden)}: started from new networks, with the parent's observation statistics",
             )
         self.actor.put(parent.actor)
         self.critic.put(parent.critic)
-        return "started from the parent's policy"
+        return WarmStart(networks=True, message="started from the parent's policy")
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """All that learns, for the checkpoint."""

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from workers.contracts import JSON, Checkpoint, Context, Cost, Interrupted, Job
+from workers.contracts import JSON, BadJob, Checkpoint, Context, Cost, Interrupted, Job
 from workers.learning.learner import Learner, stream
 from workers.learning.policy import Policy
 from workers.learning.problem import Curriculum, Diverged, Problem, Trained
@@ -75,6 +75,7 @@ class _Training:
         self.learner = Learner(job, settings, observation_size(envs[0]), action_map(envs[0]))
         self.progress = Progress()
         self.metrics: Mapping[str, float] = {}
+        self.lineage: Mapping[str, JSON] = {}
 
     @property
     def level(self) -> float | None:
@@ -112,6 +113,7 @@ class _Training:
             self.curriculum,
             self.mastered,
             self.metrics,
+            self.lineage,
         )
 
     def begin(self) -> None:
@@ -120,8 +122,12 @@ class _Training:
         if checkpoint is not None:
             self.restore(checkpoint)
         elif self.job.parent is not None:
-            parent = Policy.from_bytes(self.context.parent_artifact(POLICY_ARTIFACT))
-            self.context.log(f"trial {self.job.parent}: {self.learner.warm_start(parent)}")
+            try:
+                taken = self.learner.warm_start(Policy.from_bytes(self.context.parent_artifact(POLICY_ARTIFACT)))
+            except BadJob as error:
+                raise BadJob(f"warm start from trial {self.job.parent}: {error}") from None
+            self.context.log(f"trial {self.job.parent}: {taken.message}")
+            self.lineage = {"warm_start": {"parent": self.job.parent, **dataclasses.asdict(taken)}}
 
     @property
     def mastered(self) -> bool:
@@ -181,6 +187,7 @@ class _Training:
             "progress": dataclasses.asdict(self.progress),
             "curriculum": None if self.curriculum is None else self.curriculum.state(),
             "metrics": dict(self.metrics),
+            "lineage": dict(self.lineage),
         }
         return Checkpoint(self.progress.iteration, self.learner.tensors(), state)
 
@@ -189,6 +196,7 @@ class _Training:
         self.learner.load(checkpoint.tensors)
         self.progress = Progress(**checkpoint.state["progress"])
         self.metrics = checkpoint.state["metrics"]
+        self.lineage = checkpoint.state.get("lineage", {})  # checkpoints of halma 0.1.0 don't tell
         if self.curriculum is not None:
             self.curriculum.load(checkpoint.state["curriculum"])
 

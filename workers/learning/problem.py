@@ -170,6 +170,8 @@ class Trained:
         curriculum: the curriculum as it ended, None without one.
         finished: whether the curriculum ended the training before its budget was spent.
         metrics: of the last iteration, as reported.
+        lineage: for the outcome's details: `warm_start` with `parent` (its trial), `networks` (whether they were taken
+            over, or only the statistics) and `message`; empty for a training from scratch.
     """
 
     policy: Policy
@@ -179,3 +181,4 @@ class Trained:
     curriculum: Curriculum | None
     finished: bool
     metrics: Mapping[str, float]
+    lineage: Mapping[str, JSON] = field(default_factory=dict)

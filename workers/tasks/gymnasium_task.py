@@ -206,6 +206,7 @@ class GymnasiumTask:
             "return_std": float(np.std(returns)),
             "episode_length": float(np.mean([len(e) for e in episodes])),
             "iterations": trained.iterations,
+            **trained.lineage,
         }
         successes = [e.success for e in episodes if e.success is not None]
         if successes:

@@ -141,7 +141,12 @@ class PointJump:
         trained = train(job, context, problem, TrainingSettings.parse(job.training, DEFAULTS))
         context.save_artifact(POLICY_ARTIFACT, trained.policy.to_bytes())
         height, facing = _best(problem.make_env(), trained.policy, trained.level or FIRST_BAR, job)
-        details = {"bar": trained.level, "iterations": trained.iterations, "mastered": trained.finished}
+        details = {
+            "bar": trained.level,
+            "iterations": trained.iterations,
+            "mastered": trained.finished,
+            **trained.lineage,
+        }
         if height is None or facing is None:
             message = "the hop doesn't get as far as the bar"
             return Outcome("infeasible", cost=trained.cost, message=message, details=details)

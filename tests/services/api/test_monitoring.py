@@ -73,3 +73,38 @@ def test_every_line_is_of_the_text_format(store, artifacts):
 
 def test_prometheus_needs_the_token_too(anyone):
     assert anyone.get("/metrics").status_code == 401
+
+
+def test_the_cluster_tells_pools_shares_and_what_each_worker_holds(store, artifacts, record):
+    import os
+    import socket
+
+    from fastapi.testclient import TestClient
+
+    from services.api.assembly import create_api
+    from services.auth import Gatekeeper
+
+    record.one()
+    first, _ = record.propose(2)
+    with store.transaction() as change:
+        attempt = change.start(first.id, record.token, worker="default-0", host="elsewhere")
+        change.began(attempt.id, attempt.token, host=socket.gethostname(), pid=os.getpid())
+    app = create_api(store, artifacts, gate=Gatekeeper("a-token-for-tests-only"), pools={"default": 4, "gpu": 1})
+    with TestClient(app, base_url="http://localhost") as client:
+        client.headers["authorization"] = "Bearer a-token-for-tests-only"
+        found = client.get("/api/v1/cluster").json()
+    assert found["pools"] == [
+        {"name": "default", "cores": 4.0, "held": 1.0, "running": 1, "queued": 1},
+        {"name": "gpu", "cores": 1.0, "held": 0.0, "running": 0, "queued": 0},
+    ]
+    (worker,) = found["workers"]
+    assert (worker["study"], worker["trial"], worker["pid"], worker["cores"]) == ("jump", 1, os.getpid(), 1.0)
+    assert worker["memory"] > 20e6
+    (share,) = found["queue"]
+    assert (share["waiting"], share["cores_held"], share["cores_wanted"]) == (True, 1.0, 2.0)
+    assert (share["core_seconds"], share["samples"]) == (31.5, 7000)
+
+
+def test_memory_of_a_process_elsewhere_is_not_told(client, record):
+    record.start(record.propose()[0])
+    assert client.get("/api/v1/cluster").json()["workers"][0]["memory"] is None

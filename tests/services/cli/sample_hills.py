@@ -64,10 +64,26 @@ class Painter:
         Image.new("RGB", (64, 48), (200, 30 * job.trial, 0)).save(picture, "PNG")
         context.save_artifact("pose.png", picture.getvalue())
         height = 1 - (job.params["x"] - 0.3) ** 2
-        return Outcome("complete", height, (job.params["x"],), Cost(100, 0.1), details={"height": height, "calm": True})
+        return Outcome(
+            "complete",
+            height,
+            (job.params["x"],),
+            Cost(100, 0.1),
+            details=self.words(job) | {"height": height, "calm": True},
+        )
+
+    def words(self, job):
+        return {}
 
     def simulate(self, job, policy):
         return Recorded(policy)
+
+
+class NamingPainter(Painter):
+    """A Painter that says in words where it stood."""
+
+    def words(self, job):
+        return {"name": "left of the top" if job.params["x"] < 0.3 else "right of the top"}
 
 
 def trek(params):

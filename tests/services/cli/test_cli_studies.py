@@ -369,3 +369,25 @@ def kill_driver_of(shell, name, ask=None):
         assert store.study(name).state is StudyState.RUNNING
     finally:
         store.close()
+
+
+def test_named_strategies_are_shown_by_their_names(shell):
+    shell.write(
+        "named.yaml",
+        "name: named\ntask: sample_hills:NamingPainter\nspace: {x: {type: float, low: 0, high: 1}}\n"
+        "search: {strategy: random, trials: 6}\n",
+    )
+    ran = shell("run", "named.yaml", "--inline")
+    assert ran.code == 0, ran.err
+    shown = shell("show", "named").out
+    names = {trial["details"]["name"] for trial in shell("trials", "named", "--json").json}
+    assert names <= {"left of the top", "right of the top"}
+    for text in (ran.out, shown):
+        table = rows_below(text, "   strategy")
+        assert table
+        assert all(any(name in line for name in names) for line in table)
+
+
+def test_strategies_without_names_have_no_column_for_them(shell, finished):
+    assert "  strategy  " not in finished
+    assert "distinct" in shell("show", "hill").out

@@ -130,7 +130,9 @@ def test_a_parents_artifact_that_was_altered_is_refused(artifacts, tmp_path):
     context = WorkerContext(given, artifacts, lambda _: None)
     assert context.parent_artifact("policy.safetensors") == b"weights"
     (tmp_path / "artifacts" / kept.path).write_bytes(b"wEights")
-    with pytest.raises(BadJob, match=r"The parent trial's policy\.safetensors can't be used"):
+    with pytest.raises(
+        BadJob, match=r"its policy\.safetensors can't be used: artifact .*policy.*restore the file from a backup"
+    ):
         context.parent_artifact("policy.safetensors")
 
 

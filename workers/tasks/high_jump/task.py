@@ -22,6 +22,7 @@ from workers.physics.rendering import render_frame
 from workers.replay import Recorder, Replay
 from workers.tasks.high_jump import behaviour, takeoff
 from workers.tasks.high_jump.env import HighJumpEnv
+from workers.tasks.high_jump.naming import name_jump
 from workers.tasks.high_jump.settings import TRAINING, HighJumpSettings, check_parameters
 
 REPLAY_ARTIFACT = "replay.bin"
@@ -133,6 +134,7 @@ class HighJump:
             features=(facing,) if problem.settings.feature == "facing" else rotation,
             cost=trained.cost,
             details={
+                **name_jump(best.replay).to_json(),
                 "bar": best.bar,
                 "cleared": True,
                 "facing": facing,
@@ -215,6 +217,7 @@ def _common(problem: HighJumpProblem, trained: Trained) -> dict[str, JSON]:
         "approach": problem.state.approach,
         "distance": problem.state.distance,
         "policy_sha256": trained.policy.sha256(),
+        **trained.lineage,
     }
 
 

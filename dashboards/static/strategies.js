@@ -1,0 +1,95 @@
+// The gallery: one card for each distinct strategy, and how far they are apart. Asked for when the history has grown.
+import { feature, number } from "./format.js";
+import { api } from "./live.js";
+import { element, setText } from "./plain.js";
+import { facingName, poseName } from "./posewords.js";
+import { distance, distanceWords } from "./spaces.js";
+
+const MOST_DISTANCES = 8;
+
+export class Strategies {
+  #asked = -1;
+  #busy = false;
+
+  constructor({ base, trials, behaviour, value, light }) {
+    Object.assign(this, { base, trials, behaviour, value, light });
+  }
+
+  async refresh(tell) {
+    const length = this.trials.history().length;
+    if (this.#busy || length === this.#asked) return;
+    this.#busy = true;
+    this.#asked = length;
+    try {
+      const found = await api(`${this.base}/strategies`);
+      this.draw(found);
+      tell(found.strategies);
+    } catch {
+      this.#asked = -1;
+    } finally {
+      this.#busy = false;
+      if (this.trials.history().length !== length) setTimeout(() => this.refresh(tell), 500);
+    }
+  }
+
+  draw({ strategies, distance: apart }) {
+    document.getElementById("fact-distinct-box").hidden = false;
+    setText("fact-distinct", String(strategies.length));
+    const gallery = document.getElementById("gallery");
+    const moving = strategies.filter((found) => found.replay).slice(0, 4).map((found) => found.number);
+    const together = document.getElementById("together");
+    together.hidden = moving.length < 2;
+    together.href = `${this.base}/trials/${moving[0]}?beside=${moving.slice(1).join()}`;
+    setText("strategies-hint", apart === null ? "" : `more than ${distanceWords(this.behaviour, apart)} apart`);
+    if (!strategies.length) {
+      gallery.replaceChildren(element("p", { className: "empty", textContent: "The first strategy appears here as soon as a trial completes." }));
+      this.#distances([]);
+      return;
+    }
+    const focused = document.activeElement?.closest?.(".strategy")?.dataset.number;
+    const cards = new Map([...gallery.querySelectorAll(".strategy")].map((card) => [card.dataset.key, card]));
+    // A card that hasn't changed stays the same element: its picture isn't loaded again and nothing jumps.
+    gallery.replaceChildren(...strategies.map((found, index) => cards.get(this.#key(found, index)) ?? this.#card(found, index)));
+    if (focused) gallery.querySelector(`[data-number="${focused}"]`)?.focus();
+    this.#distances(strategies);
+  }
+
+  #key(found, index) { return `${index} ${found.number} ${found.members} ${found.pose}`; }
+
+  #card(found, index) {
+    const { behaviour } = this;
+    const name = poseName(found.details.rotation) ?? (behaviour.names[0] === "facing" ? facingName(found.features[0]) : `Strategy ${index + 1}`);
+    const where = behaviour.kind === "rotation"
+      ? (typeof found.details.facing === "number" ? `facing ${feature(found.details.facing, "rad")}` : "")
+      : behaviour.names.map((one, i) => `${one} ${feature(found.features[i], behaviour.unit)}`).join(", ");
+    const picture = element("span", { className: "picture" });
+    if (found.pose) picture.append(element("img", { src: `/api/v1${this.base}/trials/${found.number}/artifacts/pose.png`, alt: `The pose of trial ${found.number}: ${name}`, loading: "lazy", width: 480, height: 360 }));
+    else picture.append("no picture");
+    const card = element(
+      "a", { className: "strategy", href: `${this.base}/trials/${found.number}`, dataset: { number: found.number, key: this.#key(found, index) } }, picture,
+      element("span", { className: "rank", textContent: index + 1, "aria-hidden": "true" }),
+      element("span", { className: "words" },
+        element("strong", { textContent: name }),
+        element("span", { className: "figure", textContent: `${this.value.name} ${number(found.value)}${this.value.unit ? ` ${this.value.unit}` : ""}` }),
+        ...(where ? [element("span", { textContent: where })] : []),
+        element("span", { textContent: `trial ${found.number}${found.members > 1 ? `, and ${found.members - 1} like it` : ""}` })),
+    );
+    card.onmouseenter = card.onfocus = () => this.light(found.number);
+    card.onmouseleave = card.onblur = () => this.light(-1);
+    return card;
+  }
+
+  #distances(strategies) {
+    const at = document.getElementById("distances");
+    if (!at) return;
+    const shown = strategies.slice(0, MOST_DISTANCES);
+    at.hidden = shown.length < 2;
+    if (at.hidden) return;
+    const head = element("tr", {}, element("th", { scope: "col" }, element("span", { className: "hide", textContent: "Strategy" })), ...shown.map((_, index) => element("th", { scope: "col", className: "num", textContent: index + 1 })));
+    const rows = shown.map((one, row) => element("tr", {}, element("th", { scope: "row", textContent: row + 1 }), ...shown.map((other, column) => element(
+      "td", { className: "num", textContent: row === column ? "·" : distanceWords(this.behaviour, distance(this.behaviour, one.features, other.features)) },
+    ))));
+    at.querySelector("table").replaceChildren(element("thead", {}, head), element("tbody", {}, ...rows));
+    setText("distances-note", strategies.length > shown.length ? `the first ${shown.length} of ${strategies.length}` : "");
+  }
+}

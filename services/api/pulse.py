@@ -1,0 +1,125 @@
+"""How studies are doing, for a list of them: the course of the best value, the strategies, the rate, the time left."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
+from pydantic import Field
+
+from services.api.models import Model
+from services.api.service import Uses
+from services.errors import UnknownStudy
+from services.states import StudyState, TrialState
+from services.store.port import StudyRow, TrialRow
+
+router = APIRouter(prefix="/api/v1")
+
+MOST_STUDIES = 100
+POINTS = 40
+"""Of a spark line: it is about as many pixels wide as twice this."""
+RECENT = 30
+"""Trials that tell the pace: a mean over the whole study would hide that it has become slower."""
+
+
+class Pulse(Model):
+    """How a study is doing."""
+
+    study: str
+    best: list[float] = Field(description=f"best value so far, at most {POINTS} points from first trial to last")
+    distinct: int | None = Field(description="distinct strategies; none where behaviour plays no part")
+    samples_per_second: float | None = Field(description="of all its workers together; none where nothing runs")
+    seconds_left: float | None = Field(description="at the pace of the newest trials; none where nothing runs")
+
+
+class Pulses(Model):
+    """How several studies are doing."""
+
+    pulses: list[Pulse]
+
+
+class Counts:
+    """Numbers of distinct strategies, each counted once for each length of a study's history. Thread-safe."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, int], tuple[int, int | None]] = {}
+        self._lock = threading.Lock()
+
+    def of(self, history_id: str, study: StudyRow, history: Sequence[TrialRow]) -> int | None:
+        """How many; None where behaviour plays no part."""
+        key = (history_id, study.id)
+        with self._lock:
+            length, count = self._known.get(key, (-1, None))
+            if length != len(history):
+                # The search's geometry comes with torch, which takes a second to import, once.
+                from services.report import behaviour_of, distinct_trials  # noqa: PLC0415
+
+                count = None if behaviour_of(study) is None else len(distinct_trials(study, history))
+                self._known[key] = (len(history), count)
+            return count
+
+
+@router.get("/pulse", tags=["studies"])
+def pulse(
+    service: Uses,
+    request: Request,
+    study: Annotated[list[str], Query(max_length=MOST_STUDIES, description="names; unknown ones are left out")],
+) -> Pulses:
+    """How studies are doing: the course of the best value, the number of strategies, rate and time left."""
+    if not hasattr(request.app.state, "strategy_counts"):
+        request.app.state.strategy_counts = Counts()
+    counts: Counts = request.app.state.strategy_counts
+    history_id = service.store.history_id()
+    pulses = []
+    for name in dict.fromkeys(study):
+        try:
+            row = service.store.study(name)
+        except UnknownStudy:
+            continue
+        history = service.trials.history(row)
+        rate, left = pace(row, history, time.time())
+        pulses.append(
+            Pulse(
+                study=row.name,
+                best=course(history),
+                distinct=counts.of(history_id, row, history),
+                samples_per_second=rate,
+                seconds_left=left,
+            )
+        )
+    return Pulses(pulses=pulses)
+
+
+def course(history: Sequence[TrialRow]) -> list[float]:
+    """Best value so far after each complete trial, thinned evenly; the last one always among them."""
+    values = [t.value for t in history if t.state is TrialState.COMPLETE and t.value is not None]
+    best = list(accumulate(values, max))
+    if len(best) <= POINTS:
+        return best
+    return [best[round(i * (len(best) - 1) / (POINTS - 1))] for i in range(POINTS)]
+
+
+def pace(row: StudyRow, history: Sequence[TrialRow], now: float) -> tuple[float | None, float | None]:
+    """Samples a second and seconds left, from the trials that finished last; None where there is no telling.
+
+    Args:
+        row: the study.
+        history: its finished trials, in order of position.
+        now: seconds since the epoch.
+    """
+    recent = [trial for trial in history if trial.finished_at is not None][-RECENT:]
+    if row.state is not StudyState.RUNNING or len(recent) < 2:
+        return None, None
+    began = min((trial.started_at or trial.finished_at).timestamp() for trial in recent if trial.finished_at)
+    span = max(now - began, 1e-3)
+    samples = sum(trial.samples for trial in recent)
+    left = []
+    if row.target_trials:
+        left.append(max(row.target_trials - len(history), 0) * span / len(recent))
+    if row.target_cost and samples:
+        left.append(max(row.target_cost - row.samples, 0.0) * span / samples)
+    return samples / span, min(left, default=None)

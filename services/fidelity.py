@@ -1,0 +1,45 @@
+"""The difficulties a study searched at, and what each level cost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from services.states import OBSERVED_TRIAL
+from services.store.port import TrialRow
+
+
+def level_of(z: float) -> float:
+    """The level that a difficulty belongs to: to a thousandth."""
+    return round(z, 3)
+
+
+def levels(trials: Sequence[TrialRow]) -> list[dict[str, Any]]:
+    """Each difficulty, easiest first: trials (all of them, and those that finished), samples and seconds.
+
+    Empty where no trial has a difficulty.
+    """
+    found: dict[float, dict[str, Any]] = {}
+    for trial in trials:
+        if trial.z is None:
+            continue
+        z = level_of(trial.z)
+        level = found.setdefault(z, {"z": z, "trials": 0, "finished": 0, "samples": 0, "seconds": 0.0, "best": None})
+        level["trials"] += 1
+        level["finished"] += trial.state in OBSERVED_TRIAL
+        level["samples"] += trial.samples
+        level["seconds"] += trial.seconds
+        if trial.state.value == "complete" and trial.value is not None:
+            level["best"] = trial.value if level["best"] is None else max(level["best"], trial.value)
+    return [{**found[z], "seconds": round(found[z]["seconds"], 3)} for z in sorted(found)]
+
+
+def point(trial: TrialRow) -> dict[str, Any]:
+    """A trial on the ladder."""
+    return {
+        "number": trial.number,
+        "z": trial.z,
+        "value": trial.value,
+        "samples": trial.samples,
+        "state": trial.state.value,
+    }

@@ -1,0 +1,29 @@
+"""Who was warm-started from whom: the lines of policies in a study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from services.store.port import TrialRow
+
+
+def line_of(trial: int, parents: Mapping[int, int | None]) -> list[int]:
+    """Numbers from the trial that began from scratch down to `trial`, each started from the one before it."""
+    line = [trial]
+    while (parent := parents.get(line[-1])) is not None:
+        line.append(parent)
+    return line[::-1]
+
+
+def lineage_words(trials: Sequence[TrialRow]) -> str | None:
+    """`3 of 8 trials started from another's policy; the longest line: 0 → 2 → 7`; None where none did.
+
+    A trial's parent always has a smaller number, so that lines end.
+    """
+    parents = {trial.number: trial.warm_start for trial in trials}
+    started = [number for number, parent in parents.items() if parent is not None]
+    if not started:
+        return None
+    longest = max((line_of(number, parents) for number in started), key=len)
+    shown = " → ".join(map(str, longest))
+    return f"{len(started)} of {len(trials)} trials started from another's policy; the longest line: {shown}"
