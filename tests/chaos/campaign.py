@@ -21,7 +21,7 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
-from arena import Arena, Shape, Undisturbed
+from arena import ROOT, Arena, Shape, Undisturbed
 from forks import Forks
 from inline_games import Game, freeze, kill
 from postgres import running_server
@@ -166,8 +166,9 @@ def say(seed, what):
 
 
 def revision():
-    """The code under test."""
-    done = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
+    """The newest commit of the code under test."""
+    of_code = ["git", "log", "-1", "--format=%h", "--", "services", "search", "workers"]
+    done = subprocess.run(of_code, capture_output=True, text=True, check=False, cwd=ROOT)
     return done.stdout.strip()
 
 
