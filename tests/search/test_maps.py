@@ -6,7 +6,7 @@ import pytest
 from benchmarks.search.maps import FLIGHTS, REPORT, World, world
 
 
-@pytest.mark.parametrize("m", (*REPORT, *FLIGHTS), ids=lambda m: m.name)
+@pytest.mark.parametrize("m", [*REPORT, *FLIGHTS], ids=lambda m: m.name)
 def test_every_strategy_of_a_reported_map_can_be_reached_and_failures_have_their_share(m):
     w = world(m)
     labels = w.labels(w.sample)
@@ -14,7 +14,7 @@ def test_every_strategy_of_a_reported_map_can_be_reached_and_failures_have_their
     assert np.mean(labels < 0) == pytest.approx(m.fails, abs=0.02)
 
 
-@pytest.mark.parametrize("m", (*REPORT, *FLIGHTS), ids=lambda m: m.name)
+@pytest.mark.parametrize("m", [*REPORT, *FLIGHTS], ids=lambda m: m.name)
 def test_without_noise_most_behaviours_lie_nearest_to_their_own_strategy(m):
     w = world(m)
     rng = np.random.default_rng(0)
