@@ -2,8 +2,8 @@
 
     python -m benchmarks.search.ceiling
 
-It is given what no search has: thousands of other worlds drawn by the same recipe as the map (family, dimension,
-shares, failures), and after each trial which strategy of that recipe was hit. It holds a posterior over those worlds (a world
+It is given what no search has: many other worlds drawn by the same recipe as the map (family, dimension, shares,
+failures), and after each trial which strategy of that recipe was hit. It holds a posterior over those worlds (a world
 that predicted another outcome loses a factor) and always asks the point that most probably shows a new strategy. The
 truth is one world more, not among them. With finitely many worlds this is not an upper bound; it tells what is within
 reach of a search whose prior is right, where a search for unknown maps must do with a prior that is vague.
