@@ -61,6 +61,7 @@ def distinct_trials(row: StudyRow, history: Sequence[TrialRow]) -> list[Finding]
     behaviour = behaviour_of(row)
     metric = search_features(behaviour)
     rows = [trial for trial in history if trial.state is TrialState.COMPLETE and trial.features is not None]
+    rows = [trial for trial in rows if not _refused(trial)]
     if behaviour is None or metric is None or not rows:
         return []
     values = [-math.inf if trial.value is None else trial.value for trial in rows]
@@ -71,11 +72,18 @@ def distinct_trials(row: StudyRow, history: Sequence[TrialRow]) -> list[Finding]
     ]
 
 
+def _refused(trial: TrialRow) -> bool:
+    """Whether the task's own audit refused what the trial found; most tasks have none."""
+    judged = trial.details.get("audit")
+    return isinstance(judged, Mapping) and judged.get("passed") is False
+
+
 def findings(row: StudyRow, history: Sequence[TrialRow]) -> list[Finding]:
     """The distinct strategies, or the best trials where behaviour plays no part."""
     if behaviour_of(row) is not None:
         return distinct_trials(row, history)
     complete = [trial for trial in history if trial.state is TrialState.COMPLETE and trial.value is not None]
+    complete = [trial for trial in complete if not _refused(trial)]
     best = sorted(complete, key=lambda trial: (-(trial.value or 0.0), trial.number))
     return [Finding(trial, (trial.number,)) for trial in best[:BEST]]
 

@@ -46,19 +46,19 @@ class Check:
     Args:
         name: which.
         found: the largest value of the jump.
-        bound: what it may be at most.
+        bound: what it may be at most; None for a figure that is told and decides nothing.
         unit: of both.
     """
 
     name: str
     found: float
-    bound: float
+    bound: float | None
     unit: str
 
     @property
     def passed(self) -> bool:
         """Whether the jump keeps to the bound; NaN does not."""
-        return bool(self.found <= self.bound)
+        return self.bound is None or bool(self.found <= self.bound)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,11 +106,13 @@ def audit(replay: Replay) -> Audit:
     jump = {name: array[:end].astype(np.float64) for name, array in replay.arrays.items()}
     masses = np.array(replay.header["masses"])
     period = float(replay.header["frame_seconds"])
+    gravity = float(replay.header.get("gravity", GRAVITY))
+    # muscles and bones are the same anywhere: body weights are those on Earth
     weight = masses.sum() * GRAVITY
     beyond = np.maximum(jump["pose"] - HIGH, LOW - jump["pose"])
     return Audit(
         (
-            Check("ballistic_flight", flight_error(jump, masses, period), BALLISTIC, "m"),
+            Check("ballistic_flight", flight_error(jump, masses, period, gravity), BALLISTIC, "m"),
             Check("joint_angle", _largest(beyond), ANGLE, "rad beyond range"),
             Check(
                 "joint_rate", _largest(joint_rates(jump["pose"], period) / RATE), RATE_FACTOR, "of the human maximum"
@@ -131,13 +133,14 @@ def audit(replay: Replay) -> Audit:
     )
 
 
-def flight_error(jump: dict[str, Array], masses: Array, period: float) -> float:
+def flight_error(jump: dict[str, Array], masses: Array, period: float, gravity: float = GRAVITY) -> float:
     """Furthest that the centre of mass gets (m) from the parabola of its last moment on the ground.
 
     Args:
         jump: arrays of a replay, up to the landing.
         masses: of the bodies ``[13]``, kg.
         period: seconds of a frame.
+        gravity: m/s^2.
 
     The centre of mass is computed from the bodies' positions, so that a pose that was tampered with shows. The parabola
     is the one that fits the flight best (least squares in its starting point and velocity, gravity given).
@@ -148,7 +151,7 @@ def flight_error(jump: dict[str, Array], masses: Array, period: float) -> float:
     if len(com) < 3:
         return 0.0
     t = np.arange(len(com)) * period
-    level = com + np.outer(t * t, [0.0, GRAVITY / 2, 0.0])  # without gravity: a straight line
+    level = com + np.outer(t * t, [0.0, gravity / 2, 0.0])  # without gravity: a straight line
     basis = np.stack([np.ones_like(t), t], 1)
     straight = basis @ np.linalg.lstsq(basis, level, rcond=None)[0]
     return float(np.linalg.norm(level - straight, axis=1).max())

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from workers.contracts import JSON, BadJob
 from workers.physics.athlete import COORDINATES, JOINTS
-from workers.physics.world import FRAME, WALL_HALF_THICKNESS, Contacts, World
+from workers.physics.world import FRAME, GRAVITY, WALL_HALF_THICKNESS, Contacts, World
 
 FORMAT = "halma-replay"
 VERSION = 1
@@ -49,7 +49,8 @@ class Replay:
 
     `header` holds `format`, `version`, `frames`, `frame_seconds`, `bodies` (names), `joints` (names), `shapes` (of the
     bodies, see `World.body_shapes`), `masses` (of the bodies, kg), `bar`, `mat_height`, `wall_half_thickness` (m),
-    `foot` (name of the take-off foot), and whatever the task adds under `task`.
+    `foot` (name of the take-off foot), `gravity` (m/s^2, where it is not the Earth's), and whatever the task adds under
+    `task`.
 
     `arrays`, float32, world frame (x through the bar, y up):
 
@@ -138,6 +139,8 @@ class Recorder:
             "wall_half_thickness": WALL_HALF_THICKNESS,
             "foot": self.foot,
         }
+        if world.gravity != GRAVITY:  # replays on Earth stay what they were, bit for bit
+            self._header["gravity"] = world.gravity
 
     def add(self, world: World, contacts: Contacts) -> None:
         """Record the world as it stands after a frame, with that frame's contacts."""

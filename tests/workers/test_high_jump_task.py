@@ -178,8 +178,31 @@ def test_bad_settings_say_where_and_what(settings, training, names, section, fie
 
 
 def test_bars_are_tried_from_above_the_level_downwards():
-    problem = task._problem(
+    problem = task.problem_of(
         job(task_settings={"first_bar": 0.2, "lowest_bar": 0.3, "bar_step": 0.05, "highest_bar": 0.6})
     )
     assert problem.bars_from(0.1) == [0.5, 0.45, 0.4, 0.35, 0.3]
     assert problem.bars_from(0.55) == [0.6, 0.55, 0.5, 0.45, 0.4, 0.35, 0.3]
+
+
+def test_a_stored_policy_is_judged_with_its_success_rate(trial):
+    outcome, artifacts = trial
+    policy = (artifacts / "policy.safetensors").read_bytes()
+    judged = HighJump().audit(job(), policy, 4)
+    checks = judged.to_json()["checks"]
+    assert judged.passed
+    assert {**checks, "deterministic_failure": 0, "stochastic_success": 0}.keys() == checks.keys()
+    assert checks["foot_push"] == outcome.details["audit"]["checks"]["foot_push"]
+    assert checks["deterministic_failure"]["found"] == 0
+    assert checks["stochastic_success"]["found"] in {0, 0.25, 0.5, 0.75, 1.0}
+    assert checks["stochastic_success"]["bound"] is None
+    assert HighJump().audit(job(), policy, 4).to_json() == judged.to_json()
+    assert "stochastic_success" not in HighJump().audit(job(), policy, 0).to_json()["checks"]
+
+
+def test_a_policy_that_misses_its_bar_fails_the_audit(trial):
+    _, artifacts = trial
+    policy = task.with_bar((artifacts / "policy.safetensors").read_bytes(), 2.4)
+    judged = HighJump().audit(job(), policy, 2)
+    assert judged.failures == ("deterministic_failure",)
+    assert judged.to_json()["checks"]["stochastic_success"]["found"] == 0

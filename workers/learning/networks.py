@@ -85,8 +85,13 @@ class Network:
 
     def descend(self, loss: torch.Tensor, grad_norm: float) -> None:
         """One step of Adam, the gradient shortened to `grad_norm`."""
-        g = self.gradient.zero_()
+        self.gradient.zero_()
         loss.backward()  # type: ignore[no-untyped-call] # torch annotates its arguments, not its result
+        self.step(grad_norm)
+
+    def step(self, grad_norm: float) -> None:
+        """One step of Adam along the gathered gradient, shortened to `grad_norm`."""
+        g = self.gradient
         length = float(torch.linalg.vector_norm(g))
         if length > grad_norm:
             g.mul_(grad_norm / length)

@@ -30,7 +30,7 @@ class Rule:
     """What a setting may be.
 
     Args:
-        kind: `int`, `float`, `bool`, `str` or `widths` (a list of layer widths).
+        kind: `int`, `float`, `bool`, `str`, `path` or `widths` (a list of layer widths).
         low, high: inclusive bounds; `open_low` makes the lower one exclusive.
         choices: of `str`.
         optional: whether None is allowed.
@@ -47,6 +47,8 @@ class Rule:
         """In words, for messages."""
         if self.kind == "bool":
             return "true or false"
+        if self.kind == "path":
+            return "the path of a file"
         if self.kind == "str":
             return " or ".join(self.choices)
         if self.kind == "widths":
@@ -72,6 +74,7 @@ class Rule:
         fits = (
             (self.kind == "bool" and isinstance(value, bool))
             or (self.kind == "str" and value in self.choices)
+            or (self.kind == "path" and isinstance(value, str) and bool(value.strip()))
             or (self.kind == "float" and is_number and self._within(value))
             or (self.kind == "int" and is_number and value == int(value) and self._within(value))
         )

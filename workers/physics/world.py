@@ -91,11 +91,13 @@ class World:
     Args:
         mat_height: thickness of the mat, m.
         measure_torque: whether `advance` tells the muscles' torques, which takes longer than the frame itself.
+        gravity: m/s^2, downwards.
     """
 
     athlete: Athlete
 
-    def __init__(self, mat_height: float = 0.3, *, measure_torque: bool = False) -> None:
+    def __init__(self, mat_height: float = 0.3, *, measure_torque: bool = False, gravity: float = GRAVITY) -> None:
+        self.gravity = gravity
         self.mat_height = mat_height
         self.measure_torque = measure_torque
         self._client = -1
@@ -111,7 +113,7 @@ class World:
                 self._client = bullet.connect(bullet.DIRECT)
             self._k = {"physicsClientId": self._client}
             bullet.resetSimulation(**self._k)
-            bullet.setGravity(0, -GRAVITY, 0, **self._k)
+            bullet.setGravity(0, -self.gravity, 0, **self._k)
             self.athlete = Athlete(self._client)
             ground = Path(pybullet_data.getDataPath()) / "plane_implicit.urdf"
             upright = bullet.getQuaternionFromEuler([-np.pi / 2, 0, 0])

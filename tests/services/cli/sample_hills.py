@@ -86,6 +86,38 @@ class NamingPainter(Painter):
         return {"name": "left of the top" if job.params["x"] < 0.3 else "right of the top"}
 
 
+class Judge(NamingPainter):
+    """A Painter whose policies are judged: none may stand beyond 0.9."""
+
+    def audit(self, job, policy, rollouts):
+        return Judged(float(policy), rollouts)
+
+
+class Judged:
+    """What the Judge says."""
+
+    def __init__(self, place, rollouts):
+        self.place, self.rollouts = place, rollouts
+
+    @property
+    def passed(self):
+        return self.place <= 0.9
+
+    def to_json(self):
+        checks = {
+            "place": {"found": self.place, "bound": 0.9, "unit": "m", "passed": self.passed},
+            "tries": {"found": self.rollouts, "bound": None, "unit": "tries", "passed": True},
+        }
+        return {"passed": self.passed, "checks": checks}
+
+
+class Liar(Painter):
+    """A Painter whose own audit refuses it on the left half, and who reports a value all the same."""
+
+    def words(self, job):
+        return {"audit": {"passed": job.params["x"] >= 0.5, "checks": {}}}
+
+
 def trek(params):
     """Takes 0.2 s."""
     time.sleep(0.2)

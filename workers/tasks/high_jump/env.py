@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.physics.athlete import COORDINATES
-from workers.physics.world import FRAME, Contacts, World
+from workers.physics.world import FRAME, GRAVITY, Contacts, World
+from workers.poses.model import PoseModel
 from workers.replay import Recorder
 from workers.tasks.high_jump import rules, takeoff
 from workers.tasks.high_jump.takeoff import TakeOff
@@ -28,30 +29,52 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
 
     Action ``[28]``, unbounded: offset of the target pose from the push-off pose, rad. The target moves there in 25 ms.
 
+    With a pose model of L latent dimensions the action is ``[L + 28]``, latent vector and offset, and the target the
+    decoded pose plus the offset (Yin et al. 2021, section 5.1). Both count from what the push-off pose is made of, a
+    natural pose and an offset, so that action 0 is the same in both; naturalness sees the whole offset.
+
     Args:
         state: the take-off state.
         control_rate: actions a second; a divisor of 120.
         mat_height: m.
         recorder: keeps the frames of each episode, from the last `reset` on.
+        poses: a pose model to act through.
+        gravity: m/s^2.
+        landing: on which part the athlete may land, `any` or `feet`.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium declares it so
 
     def __init__(
-        self, state: TakeOff, *, control_rate: int = 10, mat_height: float = 0.3, recorder: Recorder | None = None
+        self,
+        state: TakeOff,
+        *,
+        control_rate: int = 10,
+        mat_height: float = 0.3,
+        recorder: Recorder | None = None,
+        poses: PoseModel | None = None,
+        gravity: float = GRAVITY,
+        landing: rules.Landing = "any",
     ) -> None:
         self.state = state
         self.recorder = recorder
-        self.world = World(mat_height, measure_torque=recorder is not None)
+        self.world = World(mat_height, measure_torque=recorder is not None, gravity=gravity)
         self._unused = True
         self._frames = round(1 / (control_rate * FRAME))
         self._reference = takeoff.push_off_pose()
         self._start = takeoff.start_state(self.world, state)
         athlete = self.world.athlete
-        self._rules = rules.Rules(foot=athlete.link[takeoff.TAKE_OFF_FOOT], head=athlete.link["neck"])
+        feet = frozenset({athlete.link["left_ankle"], athlete.link["right_ankle"]}) if landing == "feet" else None
+        self._rules = rules.Rules(foot=athlete.link[takeoff.TAKE_OFF_FOOT], head=athlete.link["neck"], may_land_on=feet)
         size = 4 + 13 * len(athlete.names)
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64)
-        self.action_space = gymnasium.spaces.Box(-np.inf, np.inf, (COORDINATES,), np.float32)
+        self._poses = poses
+        latent = 0
+        if poses is not None:
+            latent = poses.latent
+            self._latent = poses.encode(takeoff.natural_pose()[None])[0]
+            self._natural_offset = self._reference - poses.decode(self._latent[None])[0]
+        self.action_space = gymnasium.spaces.Box(-np.inf, np.inf, (latent + COORDINATES,), np.float32)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -83,9 +106,8 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float64], float, bool, bool, dict[str, Any]]:
         """Pull towards the push-off pose plus `action` for one control interval, or until the jump is decided."""
-        offset = np.asarray(action, np.float64)
-        before, target = self._target, self._reference + offset
-        self._target = target
+        target, offset = self._aim(np.asarray(action, np.float64))
+        before, self._target = self._target, target
         self._offset += float(np.abs(offset).sum())
         self._actions += 1
         verdict = None
@@ -113,8 +135,16 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             offset=self._offset / self._actions,
             bar=self.world.bar,
         )
-        metrics = {f"end_{name}": float(verdict == name) for name in ("wall", "ground", "time")}
+        metrics = {f"end_{name}": float(verdict == name) for name in ("wall", "ground", "time", "fall")}
         return observation, reward, True, False, {"success": landed, "verdict": verdict, "metrics": metrics}
+
+    def _aim(self, action: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The target pose of an action, and its offset from what counts as natural, ``[28]`` each."""
+        if self._poses is None:
+            return self._reference + action, action
+        latent = self._latent + action[: self._poses.latent]
+        offset = self._natural_offset + action[self._poses.latent :]
+        return self._poses.decode(latent[None])[0] + offset, offset
 
     @property
     def elapsed(self) -> float:

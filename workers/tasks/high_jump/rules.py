@@ -9,7 +9,8 @@ import numpy as np
 
 from workers.physics.world import WALL_HALF_THICKNESS, Contacts
 
-Verdict = Literal["landed", "wall", "ground", "time"]
+Verdict = Literal["landed", "wall", "ground", "time", "fall"]
+Landing = Literal["any", "feet"]
 
 TIME_LIMIT = 2.0
 """s; a jump that takes longer has failed."""
@@ -30,10 +31,12 @@ class Rules:
     Args:
         foot: Bullet link of the take-off foot, the only part that may touch the ground.
         head: Bullet link of the head.
+        may_land_on: links that may touch the mat before the jump has landed; None for all.
     """
 
     foot: int
     head: int
+    may_land_on: frozenset[int] | None = None
 
     def verdict(self, contacts: Contacts, time: float, rear: float | None) -> Verdict | None:
         """What ends the jump now, or None.
@@ -48,6 +51,8 @@ class Rules:
             return "wall"
         if contacts.ground - {self.foot}:
             return "ground"
+        if self.may_land_on is not None and contacts.mat - self.may_land_on:
+            return "fall"
         if contacts.mat and rear is not None and rear > WALL_HALF_THICKNESS:
             return "landed"
         if time >= TIME_LIMIT:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
-from workers.contracts import JSON, BadSetting, Scalar
+from workers.contracts import JSON, BadJob, BadSetting, Scalar
 from workers.learning.settings import (
     Budget,
     NetworkSettings,
@@ -17,11 +19,15 @@ from workers.learning.settings import (
     refuse_unknown,
     setting,
 )
+from workers.physics.world import GRAVITY
+from workers.poses.model import PoseModel
 from workers.tasks.high_jump import takeoff
 from workers.tasks.high_jump.behaviour import FeatureName
+from workers.tasks.high_jump.rules import Landing
 from workers.tasks.high_jump.takeoff import Formulation, TakeOff
 
 SECTION = "task.settings"
+Actions = Literal["offset", "pose"]
 
 TRAINING = TrainingSettings(
     budget=Budget(samples=100_000),
@@ -48,6 +54,10 @@ class HighJumpSettings:
         highest_bar: mastered, the training ends, m.
         control_rate: actions a second, a divisor of 120.
         mat_height: thickness of the mat, m.
+        actions: `offset` from the push-off pose, or `pose`: a latent vector of a pose model, and an offset.
+        gravity: m/s^2; 3.711 on Mars.
+        landing: on which part the athlete may land, `any` or `feet`.
+        poses: file of the pose model, of `halma poses train`; None: the model of the packaged clips.
     """
 
     formulation: Formulation = dataclasses.field(
@@ -65,6 +75,10 @@ class HighJumpSettings:
     highest_bar: float = setting(2.5, Rule("float", 0.1, 2.9))
     control_rate: int = setting(10, Rule("int", 1, 120))
     mat_height: float = setting(0.3, Rule("float", 0.05, 1.0))
+    actions: Actions = dataclasses.field(default="offset", metadata={"rule": Rule("str", choices=("offset", "pose"))})
+    gravity: float = setting(GRAVITY, Rule("float", 0.5, 30.0))
+    landing: Landing = dataclasses.field(default="any", metadata={"rule": Rule("str", choices=("any", "feet"))})
+    poses: str | None = setting(None, Rule("path", optional=True))
 
     @classmethod
     def parse(cls, settings: Mapping[str, JSON]) -> HighJumpSettings:
@@ -86,7 +100,22 @@ class HighJumpSettings:
                     "highest_bar",
                     f"expected at least {name}, which is {least:g}, found {parsed.highest_bar:g}",
                 )
+        if parsed.poses is not None and parsed.actions != "pose":
+            raise BadSetting(SECTION, "poses", "expected none with actions: offset, found one; write actions: pose")
+        try:
+            parsed.pose_model()
+        except BadJob as error:
+            raise BadSetting(SECTION, "poses", str(error)) from None
         return parsed
+
+    def pose_model(self) -> PoseModel | None:
+        """The model to act through, or None. Raises `BadJob` where its file is none."""
+        return pose_model(self.poses) if self.actions == "pose" else None
+
+    def poses_used(self) -> dict[str, JSON]:
+        """As details of an outcome: which model it was, since a file can change."""
+        model = self.pose_model()
+        return {} if model is None else {"poses_sha256": model.sha256()}
 
     def to_json(self) -> dict[str, JSON]:
         """All settings, defaults written out."""
@@ -103,6 +132,14 @@ class HighJumpSettings:
             time_to_bar=self.time_to_bar,
             formulation=self.formulation,
         )
+
+
+@functools.cache
+def pose_model(path: str | None) -> PoseModel:
+    """The pose model in a file, or the default one; read once in a process. Raises `BadJob`."""
+    from workers.poses.training import default_model  # noqa: PLC0415 - torch takes seconds to import
+
+    return default_model() if path is None else PoseModel.read(Path(path).expanduser())
 
 
 def check_parameters(names: Iterable[str]) -> None:

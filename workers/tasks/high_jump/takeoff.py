@@ -166,13 +166,19 @@ def _plant(pose: Array) -> float:
     return lean
 
 
+def natural_pose() -> Array:
+    """The captured pose at mid-support ``[28]``."""
+    pose: Array = clips.load(_CLIP).pose[_MID_SUPPORT_FRAME].copy()
+    return pose
+
+
 def push_off_pose() -> Array:
     """The pose that action 0 pulls to ``[28]``: stance leg driving down and back, the other knee and the arms up.
 
     A reference for the PD controllers, not a pose to be reached: hip and knee aim beyond their ranges, which makes
     them push. Without it a random policy hardly ever leaves the ground.
     """
-    pose: Array = clips.load(_CLIP).pose[_MID_SUPPORT_FRAME].copy()
+    pose = natural_pose()
     aims = {
         "right_hip": -1.2, "right_ankle": -0.5, "left_hip": 1.2,
         "chest": 0.1, "right_shoulder": 0.5, "left_shoulder": 0.5,

@@ -50,7 +50,15 @@ class HighJumpProblem:
     def env(self, recorder: Recorder | None) -> HighJumpEnv:
         """A new environment that tells a recorder."""
         s = self.settings
-        return HighJumpEnv(self.state, control_rate=s.control_rate, mat_height=s.mat_height, recorder=recorder)
+        return HighJumpEnv(
+            self.state,
+            control_rate=s.control_rate,
+            mat_height=s.mat_height,
+            recorder=recorder,
+            poses=s.pose_model(),
+            gravity=s.gravity,
+            landing=s.landing,
+        )
 
     def curriculum(self) -> Curriculum:
         """The bar, from the first to the highest."""
@@ -108,7 +116,7 @@ class HighJump:
 
     def run(self, job: Job, context: Context) -> Outcome:
         """Train, then look for the highest bar. Artifacts: the policy; of a cleared bar its replay and a picture."""
-        problem = _problem(job)
+        problem = problem_of(job)
         try:
             trained = train(job, context, problem, TrainingSettings.parse(job.training, TRAINING))
         except Diverged as error:
@@ -149,6 +157,12 @@ class HighJump:
         """See `simulate`."""
         return simulate(job, policy)
 
+    def audit(self, job: Job, policy: bytes, rollouts: int) -> Audit:
+        """See `auditing.audit_policy`."""
+        from workers.tasks.high_jump.auditing import audit_policy  # noqa: PLC0415 - it needs this module
+
+        return audit_policy(job, policy, rollouts)
+
 
 def simulate(job: Job, policy: bytes) -> Replay:
     """The best jump of a stored policy, simulated again, bit for bit the same.
@@ -159,9 +173,9 @@ def simulate(job: Job, policy: bytes) -> Replay:
 
     Raises `BadJob` where the policy is of another task or never cleared a bar.
     """
-    problem = _problem(job)
+    problem = problem_of(job)
     bar = bar_of(policy)
-    jump = _jump(problem, Policy.from_bytes(policy), bar)
+    jump = recorded_jump(problem, Policy.from_bytes(policy), bar)
     if jump is None:
         raise BadJob(
             f"policy: expected one that clears {bar:g} m as trial {job.trial} did, found one that doesn't; "
@@ -180,7 +194,7 @@ def highest_jump(problem: HighJumpProblem, trained: Trained) -> tuple[Jump | Non
             # without a recorder first: recording triples the time, and most bars above the level are missed
             if not play(scout, trained.policy, seed=0, level=bar).success:
                 continue
-            jump = _jump(problem, trained.policy, bar)
+            jump = recorded_jump(problem, trained.policy, bar)
             if jump is not None and jump.audit.passed:
                 return jump, refused
             refused = refused or jump
@@ -189,7 +203,7 @@ def highest_jump(problem: HighJumpProblem, trained: Trained) -> tuple[Jump | Non
     return None, refused
 
 
-def _jump(problem: HighJumpProblem, policy: Policy, bar: float) -> Jump | None:
+def recorded_jump(problem: HighJumpProblem, policy: Policy, bar: float) -> Jump | None:
     """One deterministic jump in a new world, recorded and audited; None where it fails."""
     recorder = Recorder(takeoff.TAKE_OFF_FOOT, {"name": "high_jump", "formulation": problem.settings.formulation})
     env = problem.env(recorder)
@@ -203,7 +217,8 @@ def _jump(problem: HighJumpProblem, policy: Policy, bar: float) -> Jump | None:
     return Jump(bar, replay, audit(replay), episode.total)
 
 
-def _problem(job: Job) -> HighJumpProblem:
+def problem_of(job: Job) -> HighJumpProblem:
+    """What a job trains, checked. Raises `BadSetting`."""
     settings = HighJumpSettings.parse(job.task_settings)
     check_parameters(job.params)
     return HighJumpProblem(settings, settings.take_off(job.params))
@@ -217,6 +232,7 @@ def _common(problem: HighJumpProblem, trained: Trained) -> dict[str, JSON]:
         "approach": problem.state.approach,
         "distance": problem.state.distance,
         "policy_sha256": trained.policy.sha256(),
+        **problem.settings.poses_used(),
         **trained.lineage,
     }
 
