@@ -86,7 +86,7 @@ class Record:
                         "alpha": round(math.cos(2.3 * (first + i)), 6),
                     },
                     seed=2**63 + first + i,
-                    z=0.5,
+                    z=1.0,
                     info=given,
                 )
                 for i in range(count)
