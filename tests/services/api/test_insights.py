@@ -254,7 +254,7 @@ class TestImportance:
         assert space["c"]["choices"] == [name]
 
     def test_an_easier_trial_is_never_the_best_setting(self, client, record):
-        record.one(iterations=1, files=())  # at z = 0.5
+        record.one(iterations=1, files=(), z=0.5)
         assert client.get("/api/v1/studies/jump/importance").json()["best"] is None
 
     def test_a_behaviour_that_plays_no_part_is_refused(self, client, store):
