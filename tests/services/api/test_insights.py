@@ -137,7 +137,7 @@ class TestSlice:
         assert np.shape(shown["mean"]) == (2, 5)
 
     def test_sliders_move_the_others(self, client, store):
-        tuned(store)
+        tuned(store, trials=48)
         query = {"x": "width", "y": "kind", "size": 3}
         at = [
             client.get("/api/v1/studies/tuned/slice", params={**query, "at": json.dumps({"rate": rate})}).json()
