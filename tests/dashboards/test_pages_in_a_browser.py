@@ -215,7 +215,7 @@ class TestTrials:
         with page.expect_download() as download:
             page.click("text=Download CSV")
         assert download.value.suggested_filename == "jump.csv"
-        assert download.value.path().read_text().splitlines()[1].startswith("0,search,complete,0.5,0.5,")
+        assert download.value.path().read_text().splitlines()[1].startswith("0,search,complete,1.0,0.5,")
 
 
 class TestTrial:
