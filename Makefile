@@ -1,6 +1,6 @@
 # Everything a person types here explains itself: make help
 .DEFAULT_GOAL := help
-.PHONY: help setup run test chaos check format bench bench-search clean
+.PHONY: help setup run test chaos check format bench bench-search fuzz-api clean
 
 PYTHON ?= python3.11
 BIN := .venv/bin
@@ -45,6 +45,9 @@ bench-search: $(STAMP)  ## the searches against their controls, quick version (m
 	$(BIN)/python -m benchmarks.search.diversity --quick
 	$(BIN)/python -m benchmarks.search.quality --quick
 	$(BIN)/python -m benchmarks.search.speed --sizes 100,1000 --repeats 5
+
+fuzz-api: $(STAMP)  ## thousands of generated requests against the API's own description
+	$(BIN)/python benchmarks/fuzz_api.py --requests 6000
 
 clean:  ## forget the environment and caches (never the trial database)
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .import_linter_cache build *.egg-info

@@ -5,11 +5,13 @@ A page carries the cursor of the record that it was made from, and its script li
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request
 from fastapi.responses import RedirectResponse, Response
+from sqlalchemy.engine import make_url
 
 from dashboards import words
 from dashboards.rendering import page, static_root
@@ -23,6 +25,7 @@ router = APIRouter(include_in_schema=False)
 
 Study = Annotated[str, Path(max_length=255)]
 Number = Annotated[int, Path(ge=0, le=LARGEST_ID)]
+MOST_RELATIVES = 50
 TELLING = 20
 """How many trials are looked at to see what their value is called."""
 
@@ -158,6 +161,7 @@ def trial(request: Request, service: Uses, study: Study, number: Number) -> Resp
     data["study"] = row.name
     data["trial"] = number
     data["state"] = one.state.value
+    data["task"] = str((row.spec.get("task") or {}).get("name", ""))
     last = max(sum(row.counts.values()) - 1, 0)
     return page(
         request,
@@ -173,9 +177,33 @@ def trial(request: Request, service: Uses, study: Study, number: Number) -> Resp
         behaviour=behaviour(row, one),
         details=shown_details(one),
         tables=shown_tables(one),
+        log="log.txt" in names,
+        family=family(service, row, one),
+        command=repeat_command(service.store.url, row.name, number) if row.spec.get("trains") else "",
+        value=value_of(service, row),
         last=last,
         is_open=one.state in {TrialState.QUEUED, TrialState.RUNNING},
     )
+
+
+def family(service: Service, study: StudyRow, one: TrialRow) -> dict[str, list[int]]:
+    """Whose policy a trial started from, back to the first, and who started from its own."""
+    ancestors: list[int] = []
+    at = one.warm_start
+    while at is not None and at not in ancestors and len(ancestors) < MOST_RELATIVES:
+        ancestors.append(at)
+        at = service.store.trial(study.id, at).warm_start
+    # Only a search over difficulties hands policies on; nobody else's 50,000 trials need to be read for it.
+    everybody = service.trials.all_trials(study) if study.spec.get("has_difficulty") else []
+    children = [trial.number for trial in everybody if trial.warm_start == one.number]
+    return {"ancestors": ancestors, "children": children[:MOST_RELATIVES]}
+
+
+def repeat_command(url: str, study: str, number: int) -> str:
+    """What to type to simulate a trial's policy again and compare it with what was kept."""
+    place = make_url(url)
+    database = f" --db {shlex.quote(place.database)}" if place.get_backend_name() == "sqlite" and place.database else ""
+    return f"halma replay {shlex.quote(study)} {number} --check{database}"
 
 
 def behaviour(study: StudyRow, one: TrialRow) -> list[dict[str, Any]]:
@@ -185,7 +213,8 @@ def behaviour(study: StudyRow, one: TrialRow) -> list[dict[str, Any]]:
     names = list(declared.get("names", ()))
     names += [f"feature {index}" for index in range(len(names), len(features))]
     return [
-        {"name": name, "value": value, "unit": declared.get("unit", "")}
+        # The coordinates of a rotation are those of a quaternion; its unit is that of the angle between two.
+        {"name": name, "value": value, "unit": "" if declared.get("kind") == "rotation" else declared.get("unit", "")}
         for name, value in zip(names, features, strict=False)
     ]
 

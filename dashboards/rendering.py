@@ -54,6 +54,7 @@ def environment() -> Environment:
         moment=words.moment,
         glyph=words.glyph,
         feature=words.feature,
+        listing=words.listing,
         as_json=as_json,
     )
     env.globals.update(version=halma_version(), static=static_root())

@@ -32,7 +32,7 @@ def number(value: Any, digits: int = 4) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int):
-        return f"{value:,}".replace(",", "\u202f")
+        return f"{value:,}".replace(",", "\u202f").replace("-", "\u2212")
     if isinstance(value, float):
         if not math.isfinite(value):
             return str(value)
@@ -87,3 +87,12 @@ def feature(value: float, unit: str) -> str:
     if unit == "rad":
         return f"{math.degrees(value):.0f}°".replace("-", "\u2212")
     return number(float(value), 3) + (f"\u202f{unit}" if unit else "")
+
+
+def listing(value: Any) -> str:
+    """A list or a mapping in a cell: its parts as `number` writes them."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {listing(inner)}" for key, inner in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(listing(inner) for inner in value)
+    return number(value)

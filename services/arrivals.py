@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from services.dispatch.port import Beat, Began, Crashed, Ended, Message, Reported, Stopped, Vanished
+from services.dispatch.port import Beat, Began, Crashed, Ended, Hindered, Message, Reported, Stopped, Vanished
 from services.drive import Drive, Live
 from services.errors import Refused
 from services.held import Effect, Held
@@ -52,6 +52,8 @@ class Arrivals:
         live = found[1]
         live.seen = self.clock()
         live.taken_up = True
+        if isinstance(message, Hindered):
+            return message.reason != live_hindrance(found)
         return not isinstance(message, Beat)
 
     def _apply(self, change: Change, message: Message) -> list[Effect]:
@@ -68,6 +70,8 @@ class Arrivals:
                 change.began(message.attempt, message.token, host=host, pid=pid)
             case Beat():
                 change.beat(message.attempt, message.token)
+            case Hindered(reason=reason):
+                self._hindered(change, drive, live, reason)
             case Reported():
                 change.report(
                     message.attempt,
@@ -90,6 +94,17 @@ class Arrivals:
             case Vanished():
                 effects = self.vanished(change, drive, live, message.reason)
         return effects
+
+    @staticmethod
+    def _hindered(change: Change, drive: Drive, live: Live, reason: str) -> None:
+        """The study shows that it waits, and why, for as long as any of its attempts does."""
+        drive.hindered = {**drive.hindered, live.attempt: reason}
+        if not reason:
+            del drive.hindered[live.attempt]
+        said = next(iter(drive.hindered.values()), "")
+        if said != drive.remarked:
+            change.remark(drive.row.id, drive.token, said)
+            drive.remarked = said
 
     @staticmethod
     def _progressed(drive: Drive, live: Live, report: Reported) -> None:
@@ -134,6 +149,12 @@ class Arrivals:
         self.held.forget(drive, live)
         drive.open[row.number] = row
         drive.not_before[row.number] = self.clock() + wait
+
+
+def live_hindrance(found: tuple[Drive, Live]) -> str:
+    """What an attempt is known to wait for; empty where it doesn't."""
+    drive, live = found
+    return drive.hindered.get(live.attempt, "")
 
 
 def why_stopping(drive: Drive) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 from services.arrivals import Arrivals, why_stopping
@@ -20,7 +21,7 @@ from services.errors import DatabaseUnavailable, HalmaError, Refused
 from services.held import Effect, Held, Write
 from services.proposing import ProposalRequest, Proposed, Strategist, trial_seed
 from services.spec import StudySpec
-from services.states import OPEN_TRIAL, StudyState
+from services.states import OPEN_TRIAL, StudyState, TrialState
 from services.store.port import AttemptRow, Change, NewArtifact, NewTrial, Store, TrialRow
 
 POLL_SECONDS = 0.25
@@ -126,14 +127,29 @@ class Coordinator:
     def run(self) -> None:
         """Drive until every study is released."""
         while self._held.drives:
-            self.step()
+            self._patient(self.step)
 
     def serve(self) -> None:
         """Drive every study that wants to run, until asked to leave."""
         while self._leave is None or self._held.drives:
             if self._leave is None:
-                self._adopt()
-            self.step()
+                self._patient(self._adopt)
+            self._patient(self.step)
+
+    def _patient(self, act: Callable[[], None]) -> None:
+        """Do it; a database that is away meanwhile is waited for, and the next pass decides anew.
+
+        Raises:
+            DatabaseUnavailable: it is away, and the driver has been asked to leave.
+        """
+        try:
+            act()
+        except DatabaseUnavailable as error:
+            self._held.wait(error)
+
+    def trouble(self) -> str:
+        """Why nothing can be recorded now; empty where it can."""
+        return self._held.trouble
 
     def _adopt(self) -> None:
         """Take the studies that nobody drives, or whose driver is gone."""
@@ -148,6 +164,8 @@ class Coordinator:
             if row.state is StudyState.QUEUED or orphaned:
                 try:
                     self.take(row.name)
+                except DatabaseUnavailable:
+                    raise
                 except HalmaError as error:
                     self._held.note(row.id, "not_taken", str(error))
 
@@ -249,6 +267,9 @@ class Coordinator:
         change.beat_drive(drive.row.id, drive.token)
         for live in drive.live.values():
             change.beat(live.attempt, live.token)
+        if drive.remarked and not drive.hindered:
+            change.remark(drive.row.id, drive.token, "")  # who waited has ended
+            drive.remarked = ""
         return []
 
     def _lost(self, drive: Drive, live: Live, reason: str) -> None:
@@ -366,7 +387,8 @@ class Coordinator:
         now = self._clock()
         live = Live(attempt=attempt.id, token=attempt.token, trial=trial.number, seen=now, began=now)
         drive.live[attempt.id] = live
-        drive.open[trial.number] = self._store.trial(drive.row.id, trial.number)
+        # Known without asking: once a start is committed, nothing may keep the worker from hearing of it.
+        drive.open[trial.number] = replace(trial, state=TrialState.RUNNING, attempts=attempt.number)
         self._held.study_of[attempt.id] = drive.row.id
         self._dispatcher.start(drive.assignment(trial, live, parents))
 

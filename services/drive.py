@@ -79,6 +79,10 @@ class Drive:
     """Length of the history at which the strategy had nothing more to propose."""
     not_before: dict[int, float] = field(default_factory=dict)
     """Trial numbers that back off, with the monotonic time from which they may start again."""
+    hindered: dict[int, str] = field(default_factory=dict)
+    """Attempts that wait for storage, and why."""
+    remarked: str = ""
+    """Why the study waits, as its row says."""
     leaving: Leaving | None = None
     leave_by: float = math.inf
     """Monotonic time at which attempts that have not stopped yet are ended."""

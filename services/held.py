@@ -33,6 +33,8 @@ class Held:
     drives: dict[int, Drive] = field(default_factory=dict)
     study_of: dict[int, int] = field(default_factory=dict)
     """Study of each attempt that this driver has started, by attempt id."""
+    trouble: str = ""
+    """Why nothing can be recorded now; empty where it can."""
 
     def live(self, message: Message) -> tuple[Drive, Live] | None:
         """The study and attempt that a message is about; None for one that is not, or no longer, ours."""
@@ -43,6 +45,7 @@ class Held:
     def forget(self, drive: Drive, live: Live) -> None:
         """An attempt is over. Its study stays known, for the late messages of a worker that was given up."""
         drive.live.pop(live.attempt, None)
+        drive.hindered.pop(live.attempt, None)
 
     def release(self, drive: Drive) -> None:
         """A study is out of this driver's hands."""
@@ -72,7 +75,7 @@ class Held:
                 with self.store.transaction() as change:
                     effects = write(change)
             except DatabaseUnavailable as error:
-                self._wait(error)
+                self.wait(error)
                 if not again:
                     return
             else:
@@ -80,19 +83,29 @@ class Held:
         for effect in effects:
             effect()
 
-    def _wait(self, trouble: DatabaseUnavailable) -> None:
-        pause = 0.1
+    def wait(self, trouble: DatabaseUnavailable) -> None:
+        """Wait until the database can be read and written again, and read the driven studies anew.
+
+        Raises:
+            DatabaseUnavailable: it is away, and the driver has been asked to leave.
+        """
+        pause, reason = 0.1, str(trouble)
+        self.trouble = reason
         while True:
             if self.impatient():
                 raise trouble
             self.sleep(pause)
             pause = min(2 * pause, 5.0)
             try:
+                # A full or read-only disk can be read: that it can be written is known once something is.
+                with self.store.transaction() as change:
+                    change.note("database_back", reason=reason)
                 for drive in list(self.drives.values()):
                     self._read_anew(drive)
             except DatabaseUnavailable as error:
                 trouble = error
             else:
+                self.trouble = ""
                 return
 
     def _read_anew(self, drive: Drive) -> None:

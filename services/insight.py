@@ -5,13 +5,14 @@ The figures come from `search.insight`; here the record is translated for it, an
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import yaml
 
 from search import Angle, Candidate, Categorical, Observation, SearchError
 from search.insight.importance import Importances, importances, narrowed
@@ -345,12 +346,16 @@ def _parameter_yaml(parameter: Parameter) -> str:
     return f"{{type: {kind}, low: {as_written(parameter.low)}, high: {as_written(parameter.high)}{log}}}"
 
 
+PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*")
+MISREAD = frozenset({"true", "false", "null", "on", "off", "yes", "no", "nan", "inf"})
+"""Words that YAML takes for something else."""
+
+
 def _scalar(value: Any) -> str:
-    """One value as YAML inside braces: quoted wherever a bare word would be something else."""
-    text = yaml.safe_dump(
-        value, default_flow_style=True, default_style='"' if isinstance(value, str) else None, width=10**6
-    )
-    return text.removesuffix("\n").removesuffix("\n...")
+    """One value as YAML inside braces: quoted unless it is a bare word."""
+    if isinstance(value, str) and (not PLAIN.fullmatch(value) or value.lower() in MISREAD):
+        return json.dumps(value, ensure_ascii=False)  # a JSON string is a double-quoted YAML string
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def significant(value: float) -> float:

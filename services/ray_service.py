@@ -150,6 +150,11 @@ class CoordinatorActor:
         self._dispatcher.wake()
 
     @ray.method(concurrency_group="control")
+    def trouble(self) -> str:
+        """Why nothing can be recorded now; empty where it can."""
+        return self._coordinator.trouble()
+
+    @ray.method(concurrency_group="control")
     def pid(self) -> int:
         """The process id, once it is up."""
         return os.getpid()

@@ -79,11 +79,13 @@ def _refused(trial: TrialRow) -> bool:
 
 
 def findings(row: StudyRow, history: Sequence[TrialRow]) -> list[Finding]:
-    """The distinct strategies, or the best trials where behaviour plays no part."""
+    """The distinct strategies, or the best trials of the task itself (z = 1) where behaviour plays no part."""
     if behaviour_of(row) is not None:
         return distinct_trials(row, history)
     complete = [trial for trial in history if trial.state is TrialState.COMPLETE and trial.value is not None]
     complete = [trial for trial in complete if not _refused(trial)]
+    # Values of easier versions of the task don't compare with those of the task itself, which alone is the answer.
+    complete = [trial for trial in complete if trial.z in {None, 1.0}]
     best = sorted(complete, key=lambda trial: (-(trial.value or 0.0), trial.number))
     return [Finding(trial, (trial.number,)) for trial in best[:BEST]]
 

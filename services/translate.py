@@ -33,6 +33,12 @@ def parameter_of(spec: ParameterSpec) -> Parameter:
     return FloatParameter(type="float", low=spec.low, high=spec.high, log=spec.log)
 
 
+def parameter_spec_of(parameter: Parameter) -> ParameterSpec:
+    """A study's parameter in the words of tasks; the reverse of `parameter_of`."""
+    fields = parameter.model_dump()
+    return ParameterSpec(**{"kind" if name == "type" else name: value for name, value in fields.items()})
+
+
 def behaviour_of(features: FeatureSpec | None) -> Behaviour | None:
     """A task's features in the words of studies."""
     if features is None:

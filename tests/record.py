@@ -75,7 +75,7 @@ class Record:
             self.token = change.drive(self.name, Driver("driver-1", "runner", 4711, "1"))
         return self
 
-    def propose(self, count=1, **info):
+    def propose(self, count=1, z=1.0, **info):
         given = info or {"mode": "explore", "deviation": 0.41}
         with self.store.transaction() as change:
             first = len(self.store.trials(self.id))
@@ -86,7 +86,7 @@ class Record:
                         "alpha": round(math.cos(2.3 * (first + i)), 6),
                     },
                     seed=2**63 + first + i,
-                    z=0.5,
+                    z=z,
                     info=given,
                 )
                 for i in range(count)
@@ -130,9 +130,9 @@ class Record:
                 ),
             )
 
-    def one(self, *, iterations=6, state=TrialState.COMPLETE, value=None, features=None, files=None, message=""):
+    def one(self, *, iterations=6, state=TrialState.COMPLETE, value=None, features=None, files=None, message="", z=1.0):
         """A whole trial."""
-        (trial,) = self.propose()
+        (trial,) = self.propose(z=z)
         attempt = self.start(trial)
         for i in range(1, iterations + 1):
             self.report(

@@ -39,6 +39,8 @@ ARRAYS: Mapping[str, tuple[int | str, ...]] = {
     "penetration": ("frame",),
     "overlap": ("frame",),
     "touching": ("frame", 3),
+    "contact_force": ("frame", "body", 3),
+    "contact_point": ("frame", "body", 3),
 }
 """Arrays of a replay with the meaning of their axes."""
 
@@ -60,6 +62,11 @@ class Replay:
     - `ground_force`, `ground_peak`: normal force of the ground, mean and peak of the frame ``[frame]`` (N)
     - `penetration`, `overlap`: deepest overlap with the surroundings, and of the body with itself ``[frame]`` (m)
     - `touching`: number of bodies on ground, wall and mat ``[frame, 3]``
+    - `contact_force`: of ground, wall and mat together on each body, mean over the frame ``[frame, 13, 3]`` (N)
+    - `contact_point`: where it acts: the mean of the contact points, weighted by their normal forces
+      ``[frame, 13, 3]`` (m); 0 where nothing is touched
+
+    A file without the last two (written before they were recorded) reads as one without contact.
     """
 
     header: Mapping[str, JSON]
@@ -104,6 +111,8 @@ class Replay:
                 ).reshape(entry["shape"])
                 for entry in header.pop("arrays")
             }
+            for name in ("contact_force", "contact_point"):
+                arrays.setdefault(name, np.zeros(arrays["position"].shape, np.float32))
             return cls(header, {name: arrays[name] for name in ARRAYS})
         except (struct.error, KeyError, TypeError, ValueError) as error:
             raise BadJob(f"replay: expected a replay.bin written by halma, found something else ({error})") from error
@@ -160,6 +169,7 @@ class Recorder:
             "penetration": contacts.penetration,
             "overlap": contacts.overlap,
             "touching": [len(contacts.ground), len(contacts.wall), len(contacts.mat)],
+            **_contact_rows(contacts, len(links)),
         }
         for name, values in row.items():
             self._rows[name].append(np.asarray(values, np.float32))
@@ -168,3 +178,13 @@ class Recorder:
         """The episode recorded since `start`."""
         arrays = {name: np.stack(rows) for name, rows in self._rows.items()}
         return Replay({**self._header, "frames": len(arrays["com"]), "task": dict(self.task)}, arrays)
+
+
+def _contact_rows(contacts: Contacts, bodies: int) -> dict[str, NDArray[np.float64]]:
+    """Force on each body and where it acts, ``[body, 3]`` each."""
+    force, point = np.zeros((bodies, 3)), np.zeros((bodies, 3))
+    for link, push in contacts.pushes.items():
+        force[link + 1] = push[:3]
+        if push[3] > 0:
+            point[link + 1] = push[4:] / push[3]
+    return {"contact_force": force, "contact_point": point}

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.search.maps import INTERIOR, MAPS, REPORT, TUNE
+from benchmarks.search.maps import FLIGHTS, INTERIOR, MAPS, REPORT, TUNE
 from search import Observation, make_strategy
 from search.registry import strategy_class
 
@@ -40,6 +40,7 @@ CONFIGS: dict[str, tuple[str, dict[str, Any], int]] = {
 ABLATIONS: dict[str, tuple[str, dict[str, Any], int]] = {
     "bds - feasibility": ("bds", {"feasibility": False}, 1),
     "bds - interior": ("bds", {"interior": False}, 1),
+    "bds - longer start": ("bds", {"start": 2}, 1),
     "bds - spacing": ("bds", {"radius": 0.0}, 1),
     "bds - Sobol start": ("bds", {"start": 0}, 1),
 }
@@ -160,7 +161,7 @@ def per_problem(results: list[dict[str, Any]], problems: list[str], n: int) -> N
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--set", choices=("tune", "report"), default="report")
+    parser.add_argument("--set", choices=("tune", "report", "flights"), default="report")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--evaluations", type=int, default=30)
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
@@ -172,7 +173,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="3 seeds, 10 evaluations, 4 maps")
     parser.add_argument("--out", type=Path, default=RESULTS / "diversity.jsonl")
     args = parser.parse_args()
-    problems = [m.name for m in (TUNE if args.set == "tune" else REPORT)]
+    problems = [m.name for m in {"tune": TUNE, "report": REPORT, "flights": FLIGHTS}[args.set]]
     if args.quick:
         args.seeds, args.evaluations, problems = 3, 10, problems[:4]
         args.out = RESULTS / "diversity-quick.jsonl"

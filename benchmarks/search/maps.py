@@ -1,10 +1,13 @@
 """Synthetic strategy maps: from take-off parameters to behaviours, with a known number of distinct strategies.
 
-Two families. *Regions*: the box is cut into regions by the largest of several quadratic scores (a power diagram with a
-metric for each centre); every region is one strategy, some regions fail. Offsets are calibrated so that the regions
+Three families. *Regions*: the box is cut into regions by the largest of several quadratic scores (a power diagram with
+a metric for each centre); every region is one strategy, some regions fail. Offsets are calibrated so that the regions
 have given shares of the volume; centres lie at faces or in the interior. *Folds*: a smooth random function of the
 parameters is pulled towards the nearest of several attractors, which leaves flat plateaus with jumps between them; its
-extremes lie mostly at the faces, bumps put rare ones into the interior.
+extremes lie mostly at the faces, bumps put rare ones into the interior. *Flights*: the body leaves the ground facing
+alpha with an angular velocity omega and turns for as long as the flight takes; training ends at the nearest of several
+attractors of the resulting pose. Nothing is calibrated: extreme poses need extreme take-offs, and the hardest
+take-offs fail.
 
 Within a strategy the behaviour still varies: it drifts a little, and near a border it leans towards the neighbour, by
 less than half of the distance between strategies altogether. The number of strategies found by a search is the number
@@ -38,9 +41,9 @@ class StrategyMap:
         name: as tables print it.
         d: number of parameters.
         metric: `circle`, `rotation` or `plane` (vectors in [-1, 1]^2).
-        family: `regions` or `folds`.
+        family: `regions`, `folds` or `flights`.
         shares: share of the volume of each strategy, before failures. In `folds` the large ones lie in the middle of
-            the range of behaviours, the rare ones at its ends.
+            the range of behaviours, the rare ones at its ends; in `flights` only their number counts.
         interior: how many of the rarest strategies lie in the interior instead of at a face.
         fails: share of the volume that fails.
         noise: standard deviation of the behaviour's noise, as a fraction of the distance between strategies.
@@ -113,21 +116,25 @@ LEAN = 0.3
 
 
 class World:
-    """The random pieces of a map, drawn from its name."""
+    """The random pieces of a map, drawn from its name.
 
-    def __init__(self, m: StrategyMap) -> None:
+    Args:
+        m: the map.
+        points: how many points shares are calibrated on.
+        like: a world whose attractors are taken over; which parameters lead where does not depend on them, except in
+            `flights`.
+    """
+
+    def __init__(self, m: StrategyMap, points: int = 4096, like: World | None = None) -> None:
         self.m = m
         rng = np.random.default_rng(zlib.crc32(m.name.encode()))
         self.relevant = rng.permutation(m.d)[: m.relevant or m.d]
-        self.attractors, self.gap = self._attractors(rng)
-        self.sample = m.space.snap(qmc.Sobol(m.d, rng=np.random.default_rng(0)).random(4096))
+        self.attractors, self.gap = (like.attractors, like.gap) if like else self._attractors(rng)
+        self.sample = m.space.snap(qmc.Sobol(m.d, rng=np.random.default_rng(0)).random(points))
         # a slow drift within each strategy
         self.drift = rng.standard_normal((m.d, 3))
         self.phase = rng.uniform(0, 2 * np.pi, 3)
-        if m.family == "regions":
-            self._regions(rng)
-        else:
-            self._folds(rng)
+        {"regions": self._regions, "folds": self._folds, "flights": self._flights}[m.family](rng)
 
     # ---- behaviours
 
@@ -178,6 +185,10 @@ class World:
             score = (self._scores(u[None, :]) + self.offset)[0, : self.k]
             order = np.argsort(-score)
             return int(order[1]), float(np.exp(-(score[order[0]] - score[order[1]]) / 0.5))
+        if self.m.family == "flights":
+            gaps = self.m.features.pairwise(self._pose(u[None, :]), self.attractors)[0]
+            order = np.argsort(gaps)
+            return int(order[1]), float(np.exp(-2 * (gaps[order[1]] - gaps[order[0]]) / self.gap))
         t = float(self._latent_raw(u[None, :])[0])
         width = float(np.ptp(self.cuts)) / len(self.cuts)
         below = t - self.cuts[label - 1] if label > 0 else np.inf
@@ -264,8 +275,64 @@ class World:
         V = self._periodic(U)[:, self.relevant]
         return np.asarray(np.sin(V @ self.fail_waves + self.fail_shift).sum(1))
 
+    # ---- flights
+
+    def _flights(self, rng: np.random.Generator) -> None:
+        m = self.m
+        self.mix = rng.standard_normal((m.d, 3)) / math.sqrt(max(1, len(self.relevant) - m.angles))
+        self.mix[: m.angles] = 0.0
+        self.mix[[i for i in range(m.d) if i not in self.relevant]] = 0.0
+        self.tilt = rng.standard_normal(3)
+        self.tilt /= np.linalg.norm(self.tilt)
+        self.fail_lean = rng.standard_normal(3)
+        speed = np.linalg.norm(self._omega(self.sample), axis=1)
+        # the fastest take-offs turn the body by three quarters of a turn on the way to the bar
+        self.flight = 1.5 * np.pi / float(np.quantile(speed, 0.999))
+        self.fail_level = np.inf
+        self.fail_level = float(np.quantile(self._strain(self.sample), 1 - m.fails)) if m.fails else np.inf
+        poses = self._pose(self.sample[self._strain(self.sample) <= self.fail_level])
+        # attractors: well apart, among poses that are reached, and each of them by at least one take-off in a hundred
+        chosen = [poses[int(rng.integers(len(poses)))]]
+        dense = m.features.pairwise(poses[:1024], poses[:1024])
+        reach = 2.0 * float(np.quantile(np.sort(dense, 1)[:, 10], 0.5))
+        crowded = (dense < max(reach, 0.15 * m.features.diameter)).mean(1) > 0.01
+        pool = poses[:1024][crowded]
+        while len(chosen) < len(m.shares):
+            gaps = m.features.pairwise(pool, np.array(chosen)).min(1)
+            chosen.append(pool[int(np.argmax(gaps))])
+        self.attractors = np.array(chosen[: len(m.shares)])
+        between = m.features.pairwise(self.attractors, self.attractors) + np.eye(len(chosen)) * 1e9
+        self.gap = float(between.min())
+
+    def _omega(self, U: Array) -> Array:
+        """Angular velocities ``n x 3``."""
+        return np.asarray(2 * (U - 0.5) @ self.mix)
+
+    def _pose(self, U: Array) -> Array:
+        """How the body would pass the bar, ``n x D``: what training starts from."""
+        m = self.m
+        turn = self._omega(U) * self.flight
+        alpha = (U[:, 0] - 0.5) * 2 * np.pi if m.angles and 0 in self.relevant else np.zeros(len(U))
+        if m.metric == "circle":
+            # only the turn about the bar's axis is told apart, of which facing changes the share
+            angle = turn[:, 0] * np.cos(alpha) + turn[:, 1] * np.sin(alpha) if m.angles else turn[:, 0]
+            return np.asarray((angle[:, None] + np.pi) % (2 * np.pi) - np.pi)
+        facing = Rotation.from_rotvec(np.stack([np.zeros(len(U)), np.zeros(len(U)), alpha], 1))
+        pose = Rotation.from_rotvec(turn) * facing
+        if m.metric == "rotation":
+            return m.features.canonical(pose.as_quat())
+        return np.asarray(pose.apply(self.tilt)[:, :2] * 0.9)
+
+    def _strain(self, U: Array) -> Array:
+        """How hard a take-off is."""
+        omega = self._omega(U)
+        return np.asarray(np.linalg.norm(omega, axis=1) + 0.5 * np.sin(omega @ self.fail_lean + 2 * U[:, -1] * np.pi))
+
     def labels(self, U: Array) -> NDArray[np.int64]:
         """Strategy of each of ``n x d`` unit points, -1 for failure."""
+        if self.m.family == "flights":
+            nearest = np.argmin(self.m.features.pairwise(self._pose(U), self.attractors), 1)
+            return np.where(self._strain(U) > self.fail_level, -1, nearest)
         if self.m.family == "regions":
             found = np.argmax(self._scores(U) + self.offset, 1)
             return np.where(found < self.k, found, -1)
@@ -311,7 +378,14 @@ REPORT = (
 )
 """Maps that figures are reported on; nothing was tuned on them."""
 
+FLIGHTS = (
+    StrategyMap("flight-3d", 3, "circle", "flights", _shares(8), fails=0.25, angles=1),
+    StrategyMap("flight-4d", 4, "circle", "flights", _shares(8), fails=0.2, noise=0.05),
+    StrategyMap("flight-4d-rotation", 4, "rotation", "flights", _shares(9), fails=0.25, angles=1),
+)
+"""Maps of the third family, reported apart: other worlds of this family were seen in tuning."""
+
 INTERIOR = ("hidden-4d", "hidden-3d-vector")
 """Reported maps all of whose rare strategies lie in the interior."""
 
-MAPS = {m.name: m for m in TUNE + REPORT}
+MAPS = {m.name: m for m in (*TUNE, *REPORT, *FLIGHTS)}

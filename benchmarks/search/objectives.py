@@ -6,8 +6,14 @@ narrow optimum nearby, so that the regions of good settings overlap between diff
     f(x, z) = (1 + easy (1 - z)) max over peaks p of h_p exp(-q_p(x, z)^s / 2),
     q_p(x, z) = |A_p (x - c_p - shift_p (1 - z))|^2 / (width (1 + widen (1 - z)))^2
 
-The first peak has h = 1; the optimum of the real task is 1. Evaluating at z costs 0.1 + 0.9 z of a full evaluation.
-With transfer, a warm start from a near and good enough evaluation saves up to 60 % of that.
+The first peak has h = 1; the optimum of the real task is 1. Three other shapes move and widen alike:
+
+- `valley`: 1 / (1 + q), q rising slowly along a bent valley and steeply across it, with heavy tails instead of none.
+- `cliff`: a slope towards the optimum inside a region outside of which nothing is learnt at all.
+- `hartmann`: the six-dimensional function of Hartmann, divided by its maximum.
+
+Evaluating at z costs 0.1 + 0.9 z of a full evaluation. With transfer, a warm start from a near and good enough
+evaluation saves up to 60 % of that. Each seed of a benchmark sees another instance: other centres, other directions.
 """
 
 from __future__ import annotations
@@ -43,6 +49,8 @@ class Objective:
         low: `informative`, `none` (easy tasks have unrelated optima) or `deceptive` (a false peak grows as z falls).
         noise: standard deviation of a value.
         mixed: whether two parameters are integers and one a category.
+        shape: `peaks`, `valley`, `cliff` or `hartmann` (six relevant parameters).
+        instance: which draw of centres and directions.
     """
 
     name: str
@@ -56,6 +64,8 @@ class Objective:
     low: str = "informative"
     noise: float = 0.01
     mixed: bool = False
+    shape: str = "peaks"
+    instance: int = 0
 
     @property
     def space(self) -> Space:
@@ -101,7 +111,7 @@ class Landscape:
 
     def __init__(self, o: Objective) -> None:
         self.o = o
-        rng = np.random.default_rng(zlib.crc32(o.name.encode()))
+        rng = np.random.default_rng((zlib.crc32(o.name.encode()), o.instance))
         self.dims = rng.permutation(o.d)[: o.relevant]
         r = o.relevant
         u = o.space.snap(rng.uniform(0.15, 0.85, (o.peaks + 2, o.d)))
@@ -126,10 +136,24 @@ class Landscape:
             other = self._bump(x - self.unrelated, width)
             own = self._peaks(x, 0.0, o.width * math.sqrt(o.relevant / 4))
             return (1 + o.easy * ease) * float(own * max(0.0, 1 - 3 * ease) + other * min(1.0, 3 * ease))
-        found = self._peaks(x, ease, width)
+        found = self._own(x, ease, width)
         if o.low == "deceptive":
             found = max(found, self._bump(x - self.false, width) * (0.3 + 1.0 * ease))
         return (1 + o.easy * ease) * found
+
+    def _own(self, x: Array, ease: float, width: float) -> float:
+        """The objective's own optima, without the higher values of easy tasks."""
+        if self.o.shape == "peaks":
+            return self._peaks(x, ease, width)
+        gap = x - self.centres[0] - self.shift[0] * ease
+        if self.o.shape == "hartmann":
+            return hartmann6(HARTMANN_BEST + gap / (1 + 0.25 * ease)) / HARTMANN_MAXIMUM
+        if self.o.shape == "cliff":
+            r = math.sqrt(float(np.square(self.A @ gap).sum())) / (1.6 * width)
+            return 0.0 if r >= 1 else (1 - r) ** 1.5
+        t = 3 * (self.A @ gap)
+        across = float(np.square(t[1:] - 0.7 * t[:-1] ** 2).sum())
+        return 1 / (1 + (4 * across + float(np.square(t).sum())) / (8 * width**2))
 
     def _peaks(self, x: Array, ease: float, width: float) -> float:
         return max(
@@ -140,6 +164,26 @@ class Landscape:
     def _bump(self, gap: Array, width: float) -> float:
         q = float(np.square(self.A @ gap).sum()) / width**2
         return math.exp(-0.5 * q * 2)
+
+
+HARTMANN_A = np.array(
+    [[10, 3, 17, 3.5, 1.7, 8], [0.05, 10, 17, 0.1, 8, 14], [3, 3.5, 1.7, 10, 17, 8], [17, 8, 0.05, 10, 0.1, 14]]
+)
+HARTMANN_P = np.array(
+    [
+        [0.1312, 0.1696, 0.5569, 0.0124, 0.8283, 0.5886],
+        [0.2329, 0.4135, 0.8307, 0.3736, 0.1004, 0.9991],
+        [0.2348, 0.1451, 0.3522, 0.2883, 0.3047, 0.6650],
+        [0.4047, 0.8828, 0.8732, 0.5743, 0.1091, 0.0381],
+    ]
+)
+HARTMANN_BEST = np.array([0.20168952, 0.15001069, 0.47687398, 0.27533243, 0.31165162, 0.65730054])
+HARTMANN_MAXIMUM = 3.32236801141551
+
+
+def hartmann6(x: Array) -> float:
+    """Hartmann's function of six variables, to be maximised (Dixon and Szego 1978); defined outside [0, 1] as well."""
+    return float(np.array([1.0, 1.2, 3.0, 3.2]) @ np.exp(-(HARTMANN_A * np.square(x - HARTMANN_P)).sum(1)))
 
 
 @cache
@@ -155,6 +199,8 @@ TUNE = (
     Objective("tune-6d-uninformative", 6, 5, low="none"),
     Objective("tune-8d-deceptive", 8, 5, low="deceptive"),
     Objective("tune-9d-mixed", 9, 6, mixed=True, noise=0.03),
+    Objective("tune-8d-valley", 8, 5, shape="valley"),
+    Objective("tune-6d-cliff", 6, 5, shape="cliff"),
 )
 """Objectives to tune on."""
 
@@ -168,6 +214,9 @@ REPORT = (
     Objective("wide-20d", 20, 6),
     Objective("unrelated-6d", 6, 5, low="none"),
     Objective("deceptive-7d", 7, 5, low="deceptive"),
+    Objective("hartmann-6d", 6, 6, shape="hartmann"),
+    Objective("valley-10d", 10, 6, shape="valley"),
+    Objective("cliff-8d", 8, 6, shape="cliff"),
 )
 """Objectives that figures are reported on; nothing was tuned on them."""
 

@@ -12,7 +12,7 @@ export class BehaviourChart {
   constructor(at, { study, trials, behaviour, valueTitle = "value", onHover = () => {} }) {
     Object.assign(this, { at, study, trials, behaviour, valueTitle, onHover });
     this.strategies = [];
-    this.view = { turn: -0.6, tilt: 0.42 };
+    this.view = { turn: 0.9, tilt: 0.38 };
     onTheme(() => this.draw());
     if (behaviour.kind === "rotation") this.#turnable();
   }

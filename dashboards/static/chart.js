@@ -26,6 +26,12 @@ export const SYMBOLS = {
 // Okabe and Ito's palette, in an order whose neighbours differ in lightness too.
 export const SERIES = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
 
+// An axis that counts: no tick between two whole numbers.
+export function counted(values) {
+  const span = Math.max(...values) - Math.min(...values);
+  return { tickformat: "d", ...(span <= 10 ? { dtick: 1 } : {}) };
+}
+
 function axis(title, more = {}) {
   return {
     title: { text: title, standoff: 8, font: { size: 12, color: colour("soft") } },
@@ -60,11 +66,12 @@ export class Chart {
     new ResizeObserver(() => { if (window.Plotly && at.data) window.Plotly.Plots.resize(at); }).observe(at);
   }
 
-  // Many changes in one frame draw once; one that comes while drawing draws once more.
+  // Many changes in one frame draw once; one that comes while drawing draws once more. The frame is painted first:
+  // what is new in words is on the screen before a chart of thousands of marks is drawn again.
   draw() {
     if (this.#queued) return;
     this.#queued = true;
-    requestAnimationFrame(() => this.#now());
+    requestAnimationFrame(() => setTimeout(() => this.#now(), 0));
   }
 
   async #now() {

@@ -1,13 +1,21 @@
 // The learning curve of a trial: one small chart a metric, fetched from the last iteration known.
-import { Chart, SERIES } from "./chart.js";
+import { Chart, SERIES, counted } from "./chart.js";
 import { api } from "./live.js";
 import { element } from "./plain.js";
 
-const FIRST = ["return", "bar", "success", "clear", "height", "reward", "value", "loss"];
+// What tells a training: one metric for each of these words, if it was reported.
+const FIRST = ["return", "bar", "level", "success", "kl", "samples_per_second", "height", "reward", "value", "loss"];
+const MOST = 6;
+const TITLES = {
+  return_mean: "mean return", return: "return", success_rate: "success rate (share)", success: "success rate (share)", kl: "KL (nats)", samples_per_second: "samples/s",
+  samples: "samples (control steps)", episode_length: "episode length (control steps)", level: "level of the curriculum",
+};
+const METRES = new Set(["bar", "level", "level_mastered"]);
 const REMEMBER = "halma-metrics";
 
 export class Curves {
-  constructor(at, choice, path) {
+  constructor(at, choice, path, task = "") {
+    this.task = task;
     this.at = at;
     this.choice = choice;
     this.path = path;
@@ -39,8 +47,8 @@ export class Curves {
   shown() {
     const names = Object.keys(this.series);
     if (this.chosen) return names.filter((name) => this.chosen.includes(name));
-    const rank = (name) => { const at = FIRST.findIndex((word) => name.includes(word)); return at < 0 ? FIRST.length : at; };
-    return [...names].sort((a, b) => rank(a) - rank(b)).slice(0, 4);
+    const telling = FIRST.map((word) => names.find((name) => name === word) ?? names.find((name) => name.startsWith(word))).filter(Boolean);
+    return [...new Set([...telling, ...names])].slice(0, MOST);
   }
 
   draw() {
@@ -72,7 +80,7 @@ export class Curves {
     const values = this.series[name];
     return {
       traces: [{ type: "scatter", mode: values.length > 1 ? "lines" : "markers", x: this.iterations, y: values, line: { color: SERIES[index % SERIES.length], width: 1.6 }, hovertemplate: `iteration %{x}<br>${name} %{y:.4g}<extra></extra>` }],
-      x: { title: "iteration", more: { tickformat: "d" } }, y: { title: name }, margin: { t: 6, r: 6 },
+      x: { title: "iteration", more: counted(this.iterations) }, y: { title: this.task === "high_jump" && METRES.has(name) ? "bar height (m)" : TITLES[name] ?? name.replaceAll("_", " ") }, margin: { t: 6, r: 6 },
       // Where a new attempt took over: a thin line, so that a step back would be seen for what it is.
       shapes: this.attempts.flatMap((attempt, at) => (at && attempt !== this.attempts[at - 1]
         ? [{ type: "line", x0: this.iterations[at] - 0.5, x1: this.iterations[at] - 0.5, yref: "paper", y0: 0, y1: 1, line: { width: 1, dash: "dot", color: "#888" } }] : [])),

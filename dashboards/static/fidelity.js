@@ -101,7 +101,9 @@ export class Fidelity {
       const parent = known.get(trial.warm_start);
       if (!parent) continue;
       const [x1, y1, x2, y2] = [x(parent), y(parent), x(trial), y(trial)];
-      edges.append(svg("path", { d: `M ${x1} ${y1} C ${(x1 + x2) / 2} ${y1}, ${(x1 + x2) / 2} ${y2}, ${x2} ${y2}`, stroke: colour("soft"), "stroke-width": 1.1, "stroke-opacity": 0.6, "data-from": parent.number, "data-to": trial.number }));
+      // Between trials of one level a curve has to bow, or all would lie on one line.
+      const bow = Math.abs(y1 - y2) < 12 ? Math.min(46, 0.35 * (x2 - x1)) * (y1 > height / 2 ? -1 : 1) : 0;
+      edges.append(svg("path", { d: `M ${x1} ${y1} C ${(x1 + x2) / 2} ${y1 + bow}, ${(x1 + x2) / 2} ${y2 + bow}, ${x2} ${y2}`, stroke: colour("soft"), "stroke-width": 1.1, "stroke-opacity": 0.6, "data-from": parent.number, "data-to": trial.number }));
     }
     root.append(edges);
     for (const trial of nodes) {

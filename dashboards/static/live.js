@@ -4,6 +4,9 @@
 // and answered with a fresh start when something lies between; so nothing gets lost between page, data and socket.
 
 const LONGEST_WAIT = 15000;
+// A network that is cut says nothing: after so long without a word the service is asked whether it is there.
+const QUIET = 6000;
+const PATIENCE = 4000;
 
 export class Live {
   #cursor;
@@ -12,6 +15,8 @@ export class Live {
   #wait = 500;
   #timer = 0;
   #since = null;
+  #heard = Date.now();
+  #asking = false;
 
   /**
    * position: {cursor, history} of the page; study: a name, or null for everything;
@@ -24,6 +29,8 @@ export class Live {
     this.onFrame = onFrame;
     this.onReset = onReset;
     addEventListener("online", () => this.#soon(0));
+    addEventListener("offline", () => this.#gone(this.#socket));
+    setInterval(() => this.#listen(), QUIET / 3);
     // A page that comes back from the browser's cache has a dead socket and an old picture.
     addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
     this.#connect();
@@ -39,8 +46,31 @@ export class Live {
     socket.onclose = () => { if (socket === this.#socket) this.#lost(); };
   }
 
+  async #listen() {
+    const socket = this.#socket;
+    if (this.#asking || socket?.readyState !== WebSocket.OPEN || Date.now() - this.#heard < QUIET) return;
+    this.#asking = true;
+    try {
+      await fetch("/healthz", { cache: "no-store", signal: AbortSignal.timeout(PATIENCE) });
+      this.#heard = Date.now();
+    } catch {
+      this.#gone(socket);
+    } finally {
+      this.#asking = false;
+    }
+  }
+
+  // Nobody answers at the other end, though the socket doesn't know yet.
+  #gone(socket) {
+    if (!socket || socket !== this.#socket) return;
+    this.#socket = null;
+    socket.close();
+    this.#lost();
+  }
+
   #take(socket, frame) {
     if (socket !== this.#socket) return;
+    this.#heard = Date.now();
     if (frame.type === "hello") {
       this.#wait = 500;
       this.#since = null;

@@ -19,7 +19,7 @@ export class Parallel {
     const title = (name, unit) => (unit ? `${name} (${unit})` : name);
     return [
       ...numeric.map((name) => ({ name, title: title(name, this.units[name]), of: (t) => t.params[name], log: this.space[name]?.log })),
-      ...(this.behaviour?.names ?? []).map((name, index) => ({ name: `feature.${name}`, title: title(name, this.behaviour.kind === "rotation" ? "" : this.behaviour.unit), of: (t) => t.features?.[index] ?? null })),
+      ...(this.behaviour && this.behaviour.kind !== "rotation" ? this.behaviour.names : []).map((name, index) => ({ name: `feature.${name}`, title: title(name, this.behaviour.kind === "rotation" ? "" : this.behaviour.unit), of: (t) => t.features?.[index] ?? null })),
       { name: "value", title: this.value.title, of: (t) => t.value },
     ];
   }

@@ -1,6 +1,6 @@
 // <halma-replay src="…/replay.bin" poster="…/pose.png">: a recorded motion in 3-D.
 // Space plays and pauses, arrows step frame by frame, Home and End go to the ends, B to the bar; drag to look around.
-import { fetchReplay, overTheBar } from "./replayfile.js";
+import { fetchReplay, overTheBar, read } from "./replayfile.js";
 
 const sheet = new CSSStyleSheet();
 sheet.replaceSync(`
@@ -18,7 +18,7 @@ sheet.replaceSync(`
   .clock { min-width: 4.2em; text-align: right; font-variant-numeric: tabular-nums; }
   :host([led]) .bar { display: none; }
   :host([led]) .view { height: 100%; }
-  @container (max-width: 420px) { .home, .bar-button { display: none; } }
+  @container (max-width: 420px) { .home, .bar-button { display: none; } .bar { gap: 5px; } input[type=range] { min-width: 30px; } button, select { padding: 2px 6px; } .clock { min-width: 3.4em; } }
 `);
 
 const FRAME = /* html */ `
@@ -55,6 +55,12 @@ export class HalmaReplay extends HTMLElement {
     this.canvas.onkeydown = (event) => this.#key(event);
   }
 
+  // Show a recording that is already here, instead of the one at `src`.
+  show(buffer) {
+    this.given = buffer;
+    if (this.isConnected) this.#load();
+  }
+
   connectedCallback() { this.#load(); }
 
   attributeChangedCallback(name, before, now) { if (this.isConnected && before !== now) this.#load(); }
@@ -75,7 +81,7 @@ export class HalmaReplay extends HTMLElement {
     const src = this.getAttribute("src");
     this.dataset.state = "loading";
     try {
-      const [replay, { Stage }] = await Promise.all([fetchReplay(src), import("./stage.js")]);
+      const [replay, { Stage }] = await Promise.all([this.given ? read(this.given) : fetchReplay(src), import("./stage.js")]);
       if (turn !== this.#wanted || !this.isConnected) return;
       this.stage?.dispose();
       this.replay = replay;

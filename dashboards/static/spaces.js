@@ -127,7 +127,7 @@ class Plane {
 
 // Rotations: where the body's forward axis points, on a sphere that can be turned; a stroke shows where its head is.
 class Sphere {
-  constructor(behaviour, range, view = { turn: -0.6, tilt: 0.42 }) { this.behaviour = behaviour; this.range = range; this.view = view; this.radius = HALF - 34; }
+  constructor(behaviour, range, view = { turn: 0.9, tilt: 0.38 }) { this.behaviour = behaviour; this.range = range; this.view = view; this.radius = HALF - 34; }
 
   hint() { return "where the forward axis points, the stroke towards the head; drag to turn"; }
 

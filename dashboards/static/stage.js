@@ -15,6 +15,7 @@ const TRUNK = 0x4d5461;
 const SKIN = 0xd9a887;
 const GRAVITY = 9.81;
 const WEIGHT_ARROW = 0.3; // metres for a force of one body weight
+const LONGEST_ARROW = 1.5; // a landing pushes with tens of body weights for an instant
 
 export class NoWebGL extends Error {}
 
@@ -105,6 +106,7 @@ export class Stage {
     this.scene.add(floor);
     this.#box([6.2, 0.02, 12], [-3, -0.01, 0], 0xcc6b54).castShadow = false;
     this.#box([4, mat, 6], [2.05, mat / 2, 0], 0x5c9985);
+    if (!(bar > 0)) return;
     this.#box([0.04, 0.04, 4], [0, bar - 0.02, 0], 0xf2cc26);
     for (const z of [-2, 2]) this.#box([0.06, bar + 0.2, 0.06], [0, bar / 2 + 0.1, z], 0xe6e6e6);
   }
@@ -121,16 +123,17 @@ export class Stage {
     this.scene.add(...this.bodies);
     this.weight = header.masses.reduce((sum, mass) => sum + mass, 0) * GRAVITY;
     this.foot = header.bodies.indexOf(header.foot);
-    this.arrow = new ArrowHelper(new Vector3(0, 1, 0), new Vector3(), 1, 0x8a2be2, 0.12, 0.08);
-    this.arrow.visible = false;
-    this.scene.add(this.arrow);
+    this.arrows = Array.from({ length: bodies }, () => new ArrowHelper(new Vector3(0, 1, 0), new Vector3(), 1, 0x8a2be2, 0.12, 0.08));
+    for (const arrow of this.arrows) arrow.visible = false;
+    this.scene.add(...this.arrows);
   }
 
   #path() {
     const points = new BufferGeometry();
     points.setAttribute("position", new BufferAttribute(new Float32Array(this.replay.arrays.com), 3));
     this.path = new Line(points, new LineBasicMaterial({ color: 0x101418, transparent: true, opacity: 0.55 }));
-    this.scene.add(this.path);
+    // What is still to come, faintly.
+    this.scene.add(this.path, new Line(points.clone(), new LineBasicMaterial({ color: 0x101418, transparent: true, opacity: 0.16 })));
   }
 
   com(time) {
@@ -163,13 +166,7 @@ export class Stage {
       this.bodies[body].position.fromArray(arrays.position, 3 * from).lerp(one.fromArray(arrays.position, 3 * to), share);
       this.bodies[body].quaternion.fromArray(arrays.orientation, 4 * from).slerp(other.fromArray(arrays.orientation, 4 * to), share);
     }
-    this.force = arrays.ground_force[Math.round(at)] / this.weight;
-    this.arrow.visible = this.foot >= 0 && this.force > 0.02;
-    if (this.arrow.visible) {
-      const foot = this.bodies[this.foot].position;
-      this.arrow.position.set(foot.x, 0, foot.z);
-      this.arrow.setLength(this.force * WEIGHT_ARROW, Math.min(0.12, 0.4 * this.force * WEIGHT_ARROW), 0.08);
-    }
+    this.#push(Math.round(at));
     this.path.geometry.setDrawRange(0, i + 2);
     if (this.follow) {
       const moved = this.com(time).sub(before);
@@ -178,6 +175,29 @@ export class Stage {
     }
     this.controls.update();
     this.draw();
+  }
+
+  // The forces of ground, wall and mat on each body, where they act. Older files have one number, for the foot.
+  #push(frame) {
+    const { arrays, bodies } = this.replay;
+    this.force = arrays.ground_force[frame] / this.weight;
+    for (const [body, arrow] of this.arrows.entries()) {
+      const at = 3 * (frame * bodies + body);
+      const force = new Vector3();
+      if (arrays.contact_force) {
+        force.fromArray(arrays.contact_force, at).divideScalar(this.weight);
+        arrow.position.fromArray(arrays.contact_point, at);
+      } else if (body === this.foot) {
+        force.set(0, this.force, 0);
+        arrow.position.set(this.bodies[body].position.x, 0, this.bodies[body].position.z);
+      }
+      const size = force.length();
+      arrow.visible = size > 0.02;
+      if (!arrow.visible) continue;
+      const length = Math.min(LONGEST_ARROW, size * WEIGHT_ARROW);
+      arrow.setDirection(force.normalize());
+      arrow.setLength(length, Math.min(0.12, 0.4 * length), 0.08);
+    }
   }
 
   // Look from where another stage looks, each at its own athlete.

@@ -7,6 +7,9 @@ import { distance, distanceWords } from "./spaces.js";
 
 const MOST_DISTANCES = 8;
 
+// A task that names what it did knows best.
+function told(name) { return typeof name === "string" && name ? name[0].toUpperCase() + name.slice(1) : null; }
+
 export class Strategies {
   #asked = -1;
   #busy = false;
@@ -58,7 +61,7 @@ export class Strategies {
 
   #card(found, index) {
     const { behaviour } = this;
-    const name = poseName(found.details.rotation) ?? (behaviour.names[0] === "facing" ? facingName(found.features[0]) : `Strategy ${index + 1}`);
+    const name = told(found.details.name) ?? poseName(found.details.rotation) ?? (behaviour.names[0] === "facing" ? facingName(found.features[0]) : `Strategy ${index + 1}`);
     const where = behaviour.kind === "rotation"
       ? (typeof found.details.facing === "number" ? `facing ${feature(found.details.facing, "rad")}` : "")
       : behaviour.names.map((one, i) => `${one} ${feature(found.features[i], behaviour.unit)}`).join(", ");

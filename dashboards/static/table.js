@@ -50,7 +50,7 @@ export class TrialTable {
       { key: "value", head: this.valueTitle[0].toUpperCase() + this.valueTitle.slice(1), num: true, value: (t) => t.value, text: (t) => number(t.value) },
     ];
     for (const [index, name] of (behaviour?.names ?? []).entries()) {
-      columns.push({ key: `feature.${name}`, head: name, num: true, value: (t) => t.features?.[index] ?? null, text: (t) => (t.features ? feature(t.features[index], behaviour.unit) : "–") });
+      columns.push({ key: `feature.${name}`, head: name, num: true, value: (t) => t.features?.[index] ?? null, text: (t) => (t.features ? feature(t.features[index], behaviour.kind === "rotation" ? "" : behaviour.unit) : "–") });
     }
     if (rows.some((t) => t.z !== null)) columns.push({ key: "z", head: "Difficulty", num: true, value: (t) => t.z, text: (t) => number(t.z, 3) });
     for (const name of trials.parameters) {

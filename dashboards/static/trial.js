@@ -5,7 +5,7 @@ import { data, localTimes } from "./plain.js";
 
 const page = data();
 const path = `/studies/${encodeURIComponent(page.study)}/trials/${page.trial}`;
-const curves = new Curves(document.getElementById("curves"), document.getElementById("metric-choice"), path);
+const curves = new Curves(document.getElementById("curves"), document.getElementById("metric-choice"), path, page.task);
 
 async function motion() {
   const form = document.getElementById("beside");
@@ -16,6 +16,31 @@ async function motion() {
 }
 
 motion();
+
+// The log is read when somebody opens it: it may be long, and its end is what matters.
+const LONGEST_LOG = 200_000;
+async function log() {
+  const box = document.getElementById("log");
+  if (!box?.open || box.dataset.read === page.state) return;
+  box.dataset.read = page.state;
+  const at = box.querySelector("pre");
+  try {
+    const answer = await fetch(`/api/v1${path}/artifacts/log.txt`);
+    if (!answer.ok) throw new Error(`the service answered with status ${answer.status}`);
+    const text = await answer.text();
+    at.textContent = (text.length > LONGEST_LOG ? `… the last ${LONGEST_LOG} of ${text.length} characters\n` : "") + text.slice(-LONGEST_LOG) || "The log is empty.";
+  } catch (error) {
+    at.textContent = `The log could not be read: ${error.message}`;
+  }
+}
+document.addEventListener("toggle", (event) => { if (event.target.id === "log") log(); }, true);
+document.addEventListener("click", async (event) => {
+  const button = event.target.closest("[data-copy]");
+  if (!button) return;
+  await navigator.clipboard?.writeText(button.previousElementSibling.textContent);
+  button.textContent = "Copied";
+  setTimeout(() => { button.textContent = "Copy"; }, 1500);
+});
 
 // Replace the parts that the server renders by how it renders them now; what didn't change keeps its place and focus.
 async function refresh() {

@@ -1,5 +1,5 @@
 // Value against trial, samples or time: every outcome, and the best so far.
-import { Chart, SYMBOLS, colour } from "./chart.js";
+import { Chart, SYMBOLS, colour, counted } from "./chart.js";
 import { STATES, amount, number } from "./format.js";
 
 const MOST = 2000;
@@ -44,7 +44,7 @@ export class ValueChart {
     const points = this.points();
     const title = { trial: "trial", samples: "samples spent (control steps)", time: "time since the first trial started (min)" }[this.by];
     const valued = points.filter((point) => point.trial.value !== null);
-    const base = { x: { title, more: this.by === "trial" ? { tickformat: "d" } : { tickformat: "~s" } }, y: { title: this.value.title }, legend: true };
+    const base = { x: { title, more: this.by === "trial" ? counted(points.map((point) => point.x)) : { tickformat: "~s" } }, y: { title: this.value.title }, legend: true };
     if (this.by === "time") base.x.more = {};
     if (!points.length) return { traces: [], empty: "The first finished trial appears here.", ...base };
     const traces = [];

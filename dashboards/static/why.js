@@ -1,5 +1,5 @@
 // Why each trial was proposed: how many of each kind so far, and every proposal with the figures that decided it.
-import { Chart, SERIES } from "./chart.js";
+import { Chart, SERIES, counted } from "./chart.js";
 import { feature, number, stateText } from "./format.js";
 import { api } from "./live.js";
 import { element, setText } from "./plain.js";
@@ -59,7 +59,7 @@ export class Why {
   // The balance of exploring and using, in the order in which the proposals were made.
   #kinds() {
     const all = this.trials.all();
-    const axes = { x: { title: "trial", more: { tickformat: "d" } }, y: { title: "proposals so far", more: { tickformat: "d" } }, legend: true, always: true };
+    const axes = { x: { title: "trial", more: counted(all.map((t) => t.number)) }, y: { title: "proposals so far", more: counted([0, all.length]) }, legend: true, always: true };
     const modes = [...new Set(all.map((trial) => trial.mode ?? trial.stage))];
     if (!all.length) return { traces: [], empty: "The first proposals appear here.", ...axes };
     const step = Math.max(1, Math.floor(all.length / 1000));

@@ -10,7 +10,8 @@ What differs from the published algorithm, and why (each can be switched off; `b
   they don't.
 - *One acquisition*: the expected distance to the nearest known behaviour under the whole posterior already prefers the
   unknown; nothing has to alternate. The distance counts up to a cap, beyond which a behaviour is new anyway.
-- *Faces*: every second proposal keeps away from the faces of the box, where the posterior deviation always is largest.
+- *Faces*: proposals keep away from the faces of the box, where the posterior deviation always is largest, by distances
+  that take turns (`INSETS`): rare behaviours may lie in the middle as well as near the faces.
 - *Repetition*: a candidate nearer than a small radius to anything asked for is not proposed again.
 - *Pending* trials are believed to show what the posterior expects (kriging believer); a batch is proposed one by one.
 """
@@ -179,19 +180,19 @@ def propose(
     return proposals
 
 
-def _pool(space: Space, rng: np.random.Generator, interior: bool) -> Array:
-    """Where the search for one proposal begins, ``m x d``."""
+def _pool(space: Space, rng: np.random.Generator, inset: float) -> Array:
+    """Where the search for one proposal begins, ``m x d``; `inset` away from the faces, or many of it on them if 0."""
     pool = sobol_points(space, 0, SOBOL_POOL, int(rng.integers(2**31)))
     straight = ~(space.is_periodic() | space.is_categorical())
-    if interior:
-        inner = np.where(straight, INSET + (1 - 2 * INSET) * pool, pool)
+    if inset:
+        inner = np.where(straight, inset + (1 - 2 * inset) * pool, pool)
         return space.snap(inner)
     snapped = np.where((rng.random(pool.shape) < 0.5) & straight, np.round(pool), pool)
     return np.concatenate([pool, space.snap(snapped)])
 
 
-INSET = 0.12
-"""How far an interior proposal keeps from the faces, in unit coordinates."""
+INSETS = (0.25, 0.15, 0.05)
+"""How far proposals keep from the faces, in unit coordinates, in turn."""
 
 
 def _next(
@@ -204,9 +205,9 @@ def _next(
     settings: Any,
 ) -> tuple[Array, dict[str, Any]]:
     """The next point ``d`` and its reasons."""
-    interior = bool(settings.interior) and turn % 2 == 0
+    inset = INSETS[turn % len(INSETS)] if settings.interior else 0.0
     straight = ~(space.is_periodic() | space.is_categorical())
-    pool = _pool(space, rng, interior)
+    pool = _pool(space, rng, inset)
     taken_e, plain = space.encode(taken), np.ones(space.e)
     radius = settings.radius * math.sqrt(space.d)
     cap = settings.cap if settings.cap is not None else math.inf
@@ -224,8 +225,8 @@ def _next(
         best = np.argsort(-values, kind="stable")[:survivors]
         step = rng.standard_normal((survivors, children, space.d)) * spread
         near = (pool[best][:, None, :] + step).reshape(-1, space.d)
-        if interior:
-            near = np.where(straight, np.clip(near, INSET, 1 - INSET), near)
+        if inset:
+            near = np.where(straight, np.clip(near, inset, 1 - inset), near)
         near = np.where(space.is_periodic(), near % 1.0, near)
         near = space.snap(near)
         more = score(near)
@@ -237,7 +238,8 @@ def _next(
     u = pool[at]
     mean, _ = model.behaviour.posterior(space.encode(u[None, :]))
     return u, {
-        "mode": "diversify inside" if interior else "diversify",
+        "mode": "diversify",
+        "inset": inset,
         "acquisition": float(values[at]),
         "novelty": float(novelty[at]),
         "feasible": float(feasible[at]),

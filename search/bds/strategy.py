@@ -26,10 +26,10 @@ class BDSSettings:
         "default", "`published` is Algorithm 1 of Yin et al. 2021 as printed"
     )
     samples: int = setting(64, "Monte Carlo samples of an expected distance", low=1)
-    start: int = setting(2, "Sobol points before the surrogate decides", low=0)
+    start: int = setting(4, "Sobol points before the surrogate decides", low=0)
     seed: int = setting(0, "which scrambling of the Sobol start", low=0)
     feasibility: bool = setting(True, "learn from failures where trials fail")
-    interior: bool = setting(True, "let every second proposal keep away from the faces of the box")
+    interior: bool = setting(True, "keep away from the faces of the box, by distances that take turns")
     radius: float = setting(0.5, "points nearer than this (in ranges, times sqrt(d)) are worth less", low=0)
     cap: float | None = setting(None, "distance beyond which more counts for nothing; None: there is none", low=0)
     n_exp: int = setting(3, "published: proposals in a row that explore (N_exp)", low=0)

@@ -3,13 +3,15 @@
 The difficulty z of a task is its fidelity: easy versions are cheap, and show roughly where good settings lie though not
 how good they are. What differs from the published form (`search.quality.cmfbo_published`), and why:
 
-- *Where*: x maximises the logarithm of the expected improvement at z = 1, over the best that the surrogate believes any
-  evaluated point to reach there. The published upper confidence bound is drawn into the corners of the box.
-- *How hard*: z maximises the variance an observation would take away at (x, 1), for its cost. What was informative at
-  an easy level stops being so once observed, so the curriculum progresses by itself; where easy levels tell nothing,
-  z = 1 wins from the start.
-- *Values* are modelled after a linear trend in z is taken off; hyperparameters have priors, the difficulty's length
-  scale the strongest.
+- *Where*: x maximises the logarithm of the expected improvement at z = 1, over the best that was evaluated there as the
+  surrogate sees it; an easy point that promises more is thereby taken to the real task. The published upper confidence
+  bound is drawn into the corners of the box.
+- *How hard*: z maximises the variance an observation would take away at (x, 1), for its cost, the real task counting
+  `margin` times: it is an answer as well. What was informative at an easy level stops being so once observed, so the
+  curriculum progresses by itself.
+- *Values* are modelled with a product kernel and a trend in z of unknown slope (`search.quality.fidelity`), so that
+  lower values of the real task don't count against its parameters; hyperparameters have priors.
+- *Start*: Sobol points of the easiest task, then its expected improvement, for a tenth of the budget.
 - *Misleading* easy levels are noticed: where the values at z = 1 are predicted better without them (leave one out),
   they are left out and no longer asked for.
 - *Costs* are learnt from the observations. At least a share of the budget goes to z = 1, its end entirely.
@@ -54,10 +56,11 @@ class CMFBOSettings:
     variant: Literal["default", "published"] = setting("default", "`published` is Algorithms 3 and 4 as printed")
     cost_budget: float | None = setting(None, "total cost, in the unit of the observations' costs", low=0)
     start: int | None = setting(None, "evaluations before the surrogate decides; None: d + 1", low=1)
-    start_z: float = setting(0.2, "their difficulty; every fourth is the real task", low=0, high=1)
-    easy: float = setting(0.2, "share of the budget to learn the easy task first", low=0, high=1)
+    start_z: float = setting(0.1, "their difficulty, and that of the easy task learnt first", low=0, high=1)
+    easy: float = setting(0.1, "share of the budget to learn the easy task first", low=0, high=1)
     gate: bool = setting(True, "leave easy levels out in the measure in which z = 1 is predicted better without them")
     share: float = setting(0.7, "least share of the cost after that which goes to z = 1", low=0, high=1)
+    margin: float = setting(2.0, "how much more the same knowledge is worth where it comes with an answer", low=0)
     warm_start: bool = setting(True, "start from the policy of the most correlated evaluation")
     seed: int = setting(0, "which scrambling of the Sobol start", low=0)
 
@@ -148,13 +151,10 @@ class CMFBO(Strategy):
             info: dict[str, Any]
             if turn < start:
                 u = next_sobol(self.space, asked, 1, s.seed)[0]
-                z = 1.0 if turn % 4 == 3 else s.start_z
+                z = s.start_z
                 info = {"mode": "start"}
             elif paid < free and not top_only:
-                if turn % 4 == 3:
-                    u, value, z = *self._where(model, record, 1.0, rng), 1.0
-                else:
-                    u, value, z = *self._where(model, record, s.start_z, rng), s.start_z
+                u, value, z = *self._where(model, record, s.start_z, rng), s.start_z
                 info = {"mode": "learn easy", "acquisition": value}
             else:
                 u, value = self._where(model, record, 1.0, rng)
@@ -178,10 +178,16 @@ class CMFBO(Strategy):
         return float(record.cost[record.z == 1].sum()) + costs.at(1.0) * int((record.pending_z == 1).sum())
 
     def _where(self, model: ValueModel, record: Record, z: float, rng: np.random.Generator) -> tuple[Array, float]:
-        """Argmax of the expected improvement at one difficulty, over the best that evaluated points reach there."""
+        """Argmax of the expected improvement at one difficulty, over the best evaluated there or above.
+
+        Believed values count as evaluated ones do. Where there are none, the bar is so low that the highest mean wins.
+        """
         rows = record.asked
         mean = model.posterior(rows, z)[0] if len(rows) else np.zeros(0)
-        best = float(mean.max()) if len(rows) else 0.0
+        done = model.gp.X[model.gp.X[:, -1] >= z - 1e-9].copy()
+        done[:, -1] = z
+        bar = float(mean.max()) - 3.0 if len(rows) else 0.0
+        best = float(model.gp.posterior(done)[0].max()) if len(done) else bar
         believed = rows[np.argsort(-mean, kind="stable")[:3]]
         around = np.unique(np.concatenate([best_points(record, 3), believed]), axis=0)
 
@@ -195,9 +201,11 @@ class CMFBO(Strategy):
         return maximise(self.space, many, one, around, rng)
 
     def _how_hard(self, model: ValueModel, u: Array, costs: CostModel) -> float:
-        """Argmax over z of the variance taken away at (u, 1) for its cost."""
+        """Argmax over z of the variance taken away at (u, 1) for its cost, the real task's counted `margin` times."""
         price = np.array([costs.at(float(z)) for z in LEVELS])
-        return float(LEVELS[int(np.argmax(model.informed(u, LEVELS) / price))])
+        worth = model.informed(u, LEVELS) / price
+        worth[-1] *= self.settings.margin
+        return float(LEVELS[int(np.argmax(worth))])
 
     def _parent(self, model: ValueModel, record: Record, u: Array, z: float) -> int | None:
         """The observation with the highest kernel correlation with (u, z), if above `PARENT`; never a harder one."""
@@ -206,7 +214,7 @@ class CMFBO(Strategy):
             return None
         here = model.coordinates(u[None, :], z)
         there = model.coordinates(record.X[rows], record.z[rows])
-        correlation = model.gp.correlation_between(here, there)[0]
+        correlation = model.gp.kinship(here, there)[0]
         best = int(np.argmax(correlation))
         return int(rows[best]) if correlation[best] >= PARENT else None
 

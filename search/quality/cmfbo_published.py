@@ -6,8 +6,9 @@ positive definite); mu, sigma the posterior.
 
 Algorithm 3, for as long as the cost budget lasts: x_t maximises mu(x, 1) + sqrt(beta_t) sigma(x, 1) by L-BFGS from the
 best evaluation so far; z_t progresses from easy to hard: it is the lowest difficulty at which the predictive deviation
-at x_t is still above epsilon. Algorithm 4: the training at (x_t, z_t) starts from the policy of the evaluation whose
-kernel correlation with it is highest. The answer is the best value over all evaluations, of whatever difficulty.
+at x_t is still above epsilon = 0.02, in the unit of the values. Algorithm 4: the training at (x_t, z_t) starts from the
+policy of the evaluation whose kernel correlation with it is highest. The answer is the best value over all evaluations,
+of whatever difficulty.
 """
 
 from __future__ import annotations
@@ -21,36 +22,16 @@ import numpy as np
 from scipy.optimize import minimize
 
 from search.quality.budget import CostModel, spent
+from search.quality.fidelity import ProductProcess
 from search.record import Candidate, Record
 from search.space import Array, Space
-from search.surrogate.gp import ROOT5, GaussianProcess, matern52, scaled_distance
+from search.surrogate.gp import GaussianProcess
 from search.surrogate.threads import one_torch_thread
 
 EPSILON = 0.02
 LEVELS = (np.arange(10) + 1) / 10
 BETA = 0.2
 """beta_t = BETA d log(2 t)."""
-
-
-class ProductProcess(GaussianProcess):
-    """A Gaussian process with k_X(x, x') k_Z(z, z'), the difficulty being the last coordinate."""
-
-    def correlation_between(self, A: Array, B: Array) -> Array:
-        """The product of the two Matern kernels, ``n x m``."""
-        x = matern52(scaled_distance(A[:, :-1], B[:, :-1], self.w[:-1]))
-        return np.asarray(x * matern52(scaled_distance(A[:, -1:], B[:, -1:], self.w[-1:])))
-
-    def gradient(self, s: Array) -> tuple[Array, float, Array, Array]:
-        """At one point ``e``: mean ``k``, relative variance, and their gradients in x (zero in z)."""
-        r = scaled_distance(s[None, :-1], self.X[:, :-1], self.w[:-1])[0]
-        kz = matern52(scaled_distance(s[None, -1:], self.X[:, -1:], self.w[-1:]))[0]
-        k = matern52(r) * kz
-        slope = -(5 / 3) * (1 + ROOT5 * r) * np.exp(-ROOT5 * r) * kz
-        dk = np.zeros((len(self.X), len(s)))
-        dk[:, :-1] = slope[:, None] * (s[:-1] - self.X[:, :-1]) * self.w[:-1] ** 2
-        beta = self._solve(k[:, None])[:, 0]
-        variance = max(1 - float(k @ beta), 1e-12)
-        return self.mean + k @ self.alpha, variance, self.alpha.T @ dk, -2 * beta @ dk
 
 
 def fit(X: Array, z: Array, y: Array) -> tuple[Array, float, float, tuple[str, ...]]:
@@ -103,6 +84,7 @@ class Model:
     """The posterior, and how values were standardised for it."""
 
     gp: GaussianProcess
+    spread: float
     told: tuple[str, ...]
 
 
@@ -124,7 +106,7 @@ def make_model(record: Record) -> Model:
     )
     if len(unknown):
         gp = gp.with_data(unknown, gp.posterior(unknown)[0], noise)
-    return Model(gp, told)
+    return Model(gp, spread, told)
 
 
 def propose(space: Space, record: Record, count: int, rng: np.random.Generator, settings: Any) -> list[Candidate]:
@@ -142,8 +124,8 @@ def propose(space: Space, record: Record, count: int, rng: np.random.Generator, 
         else:
             u = _where(gp, space, record, t, rng)
             _, variance = gp.posterior(np.column_stack([np.tile(u, (len(LEVELS), 1)), LEVELS]))
-            # as printed: the predictive deviation, noise included
-            deviation = gp.amplitude[0] * np.sqrt(variance + float(np.mean(gp.noise)))
+            # as printed: the predictive deviation, noise included; in the unit of the values, as epsilon is
+            deviation = model.spread * gp.amplitude[0] * np.sqrt(variance + float(np.mean(gp.noise)))
             above = np.flatnonzero(deviation > EPSILON)
             z = float(LEVELS[above[0]]) if len(above) else 1.0
         u = space.snap(u[None, :])[0]

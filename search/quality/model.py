@@ -12,14 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from search.quality.fidelity import FidelityProcess, fit_fidelity
 from search.record import Record
 from search.space import Array, Space
-from search.surrogate.fit import Fit, Prior, fit_map
-from search.surrogate.gp import GaussianProcess
+from search.surrogate.fit import Fit, Prior
 from search.surrogate.subset import farthest_first
 
 FIT_POINTS = 200
 MODEL_POINTS = 450
+LENGTH = 0.6
+"""Prior median of the length scales, relative to what is asked for. A shorter, narrower prior than 1 was better."""
+LINK = 3.0
+"""Prior median of the difficulty's length scale, likewise: an easy task is thought to tell much of the real one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +83,10 @@ class ValueModel:
         XZ = self.coordinates(record.X, record.z)
         rows = choose_rows(XZ, value, record.z, MODEL_POINTS)
         y = self.scale.to_y(value[rows], record.z[rows])[:, None]
-        self.gp = GaussianProcess(XZ[rows], y, fitted.w, np.array([fitted.amplitude]), fitted.noise, np.zeros(1))
+        centre = float(record.z[rows].mean()) if len(rows) else 1.0
+        self.gp = FidelityProcess(
+            XZ[rows], y, fitted.w, np.array([fitted.amplitude]), fitted.noise, np.zeros(1), centre
+        )
         self.noise = fitted.noise
 
     def log_density_at_top(self) -> float:
@@ -132,14 +139,10 @@ def fit_values(space: Space, record: Record, length: float, fidelity_length: flo
     scale = standardise(value, record.z)
     XZ = np.concatenate([space.encode(record.X), record.z[:, None]], 1)
     rows = choose_rows(XZ, value, record.z, FIT_POINTS)
-    y = scale.to_y(value[rows], record.z[rows])[:, None]
-    # the difficulty gets the parameters' prior in units of its own median
-    stretch = np.ones(XZ.shape[1])
-    stretch[-1] = length / fidelity_length
-    found = fit_map(
-        XZ[rows] * stretch,
-        y,
-        [*space.owner, space.d],
-        Prior(length=length, length_spread=0.7, noise=1e-3, noise_spread=1.5, amplitude=1.0),
+    return fit_fidelity(
+        XZ[rows],
+        scale.to_y(value[rows], record.z[rows]),
+        space.owner,
+        Prior(length=LENGTH * length, length_spread=0.5, noise=1e-3, noise_spread=1.5, amplitude=1.0),
+        Prior(length=LINK * fidelity_length, length_spread=0.8),
     )
-    return Fit(found.w * stretch, found.noise, found.amplitude, found.warnings)

@@ -73,7 +73,7 @@ class GaussianProcess:
         self.amplitude, self.mean = amplitude, mean
         self.noise = np.broadcast_to(np.asarray(noise, dtype=float), (len(X),))
         K = self.correlation_between(X, X)
-        K[np.diag_indices_from(K)] = 1.0 + self.noise
+        K[np.diag_indices_from(K)] = self.prior_variance(X) + self.noise
         self.L = robust_cholesky(K) if len(X) else np.empty((0, 0))
         self.alpha = self._solve(Y - mean)
 
@@ -89,13 +89,17 @@ class GaussianProcess:
         """Prior correlation of ``n x e`` with ``m x e`` points, ``n x m``."""
         return matern52(scaled_distance(A, B, self.w))
 
+    def prior_variance(self, S: Array) -> Array:
+        """Before any data, relative to the amplitude's square, ``m``."""
+        return np.ones(len(S))
+
     def posterior(self, S: Array) -> tuple[Array, Array]:
         """Mean ``m x k`` and latent variance relative to the amplitude's square, ``m``."""
         if not len(self.X):
-            return np.tile(self.mean, (len(S), 1)), np.ones(len(S))
+            return np.tile(self.mean, (len(S), 1)), self.prior_variance(S)
         k = self.correlation(S)
         V = solve_triangular(self.L, k.T, lower=True, check_finite=False)
-        return k @ self.alpha + self.mean, np.maximum(1 - (V * V).sum(0), 1e-12)
+        return k @ self.alpha + self.mean, np.maximum(self.prior_variance(S) - (V * V).sum(0), 1e-12)
 
     def leave_one_out(self) -> tuple[Array, Array]:
         """Each datum predicted from all the others: mean ``n x k`` and variance, noise included, relative, ``n``.

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 
 from fastapi import FastAPI
 
-from services.api import health, insights, monitoring, pulse, routes, sockets
+from services.api import health, insights, monitoring, pulse, reference, routes, sockets
 from services.api.errors import add_error_handlers
 from services.api.guard import Guard, Hosts
 from services.api.live import Hub
@@ -67,6 +67,7 @@ def create_api(
     app.include_router(insights.router)
     app.include_router(monitoring.router, responses=routes.ERRORS)
     app.include_router(pulse.router, responses=routes.ERRORS)
+    app.include_router(reference.router, responses=routes.ERRORS)
     app.include_router(sockets.router)
     app.include_router(health.router)
     app.add_middleware(Guard, gate=gate, hosts=Hosts.of_this_machine(hosts), open_paths=HEALTH | frozenset(open_paths))

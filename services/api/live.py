@@ -33,6 +33,8 @@ POLL_SECONDS = 0.05
 """Half of this is what polling adds to the median time from commit to screen."""
 SUMMARY_SECONDS = 0.25
 """Least time between two summaries of one study: they count its trials, which costs more than the events do."""
+SUMMARY_SHARE = 0.02
+"""Share of a core that the summaries of one study may take: those of a very long one come more rarely."""
 HISTORY_SECONDS = 1.0
 BATCH = 1000
 """Events of one frame at most."""
@@ -126,8 +128,10 @@ class Hub:
         self._cursor = 0
         self._history = ""
         self._starting = asyncio.Lock()
-        self._summaries: dict[str, float] = {}
-        """When a study's summary was last sent."""
+        self._due: dict[str, float] = {}
+        """When a study's next summary may be sent."""
+        self._ids: dict[str, int] = {}
+        """Row ids of studies by name: asking for a study counts its trials, which 20 looks a second need not."""
         self._changed: set[str] = set()
         """Studies whose summary has to be sent."""
 
@@ -192,10 +196,14 @@ class Hub:
         last = self._store.last_event()
         if (check_history and self._store.history_id() != self._history) or last < self._cursor:
             self._cursor, self._history = self._where()
+            self._ids.clear()
             return [(topic, RESET) for topic in topics]
         frames: list[tuple[Topic, str]] = []
         if last > self._cursor:
             events = self._store.events(after=self._cursor, limit=BATCH)
+            for event in events:
+                if event.kind == "deleted":
+                    self._ids.pop(study_of(event) or "", None)
             # More may have happened between the two reads.
             to = max(event.id for event in events) if events else last
             frames += [(topic, self._frame(topic, self._cursor, to, events)) for topic in topics]
@@ -221,26 +229,35 @@ class Hub:
         if not numbers:
             return []
         try:
-            study = self._store.study(name)
+            study = self._id(name)
             if numbers[-1] - numbers[0] < 4 * len(numbers):
-                rows = self._store.trials(study.id, after=numbers[0] - 1, limit=numbers[-1] - numbers[0] + 1)
+                rows = self._store.trials(study, after=numbers[0] - 1, limit=numbers[-1] - numbers[0] + 1)
                 wanted = set(numbers)
                 return [row for row in rows if row.number in wanted]
-            return [self._store.trial(study.id, number) for number in numbers]
+            return [self._store.trial(study, number) for number in numbers]
         except (UnknownStudy, UnknownTrial):
             return []
 
+    def _id(self, name: str) -> int:
+        """A study's row id. Raises `UnknownStudy`."""
+        known = self._ids.get(name)
+        if known is None:
+            known = self._ids[name] = self._store.study(name).id
+        return known
+
     def _due_summaries(self, topics: set[Topic]) -> list[tuple[Topic, str]]:
         now = time.monotonic()
-        due = {name for name in self._changed if now - self._summaries.get(name, -1e9) >= SUMMARY_SECONDS}
+        due = {name for name in self._changed if now >= self._due.get(name, 0.0)}
         if None not in topics:
             self._changed &= {topic for topic in topics if topic is not None}
             due &= self._changed
         frames: list[tuple[Topic, str]] = []
         for name in sorted(due):
+            began = time.monotonic()
             frame = self._summary(name)
+            cost = time.monotonic() - began
+            self._due[name] = now + max(SUMMARY_SECONDS, cost / SUMMARY_SHARE)
             frames += [(topic, frame) for topic in (None, name) if topic in topics]
-            self._summaries[name] = now
         self._changed -= due
         return frames
 

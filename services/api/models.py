@@ -178,6 +178,15 @@ class TrialPage(Model):
     next: int | None = Field(description="pass as `after` for the next page; none at the end")
 
 
+class TrialWindow(Position):
+    """The trials that a screen shows."""
+
+    count: int = Field(description="trials of the study")
+    matched: int = Field(description="trials that pass the filters")
+    offset: int
+    trials: list[TrialOut]
+
+
 class AttemptOut(Model):
     """One try at a trial."""
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import pydantic_core
 from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
+from pydantic import Field
 from sqlalchemy.engine import make_url
 
 from services.api.errors import NotHere
@@ -32,9 +33,11 @@ from services.api.models import (
     TrialOut,
     TrialPage,
     TrialTable,
+    TrialWindow,
 )
 from services.api.service import Uses, halma_version
 from services.api.tables import csv_lines, table
+from services.api.windows import matching, ordered
 from services.errors import BadInput
 from services.states import TrialState
 from services.store.port import TrialRow
@@ -42,9 +45,11 @@ from services.store.port import TrialRow
 ERRORS: dict[int | str, dict[str, object]] = {
     status: {"model": ErrorOut, "description": text}
     for status, text in {
+        400: "the body is no text of the kind it says it is",
         401: "no token or session, or a wrong one",
         404: "no such study, trial or artifact",
         409: "the state of the study doesn't allow this",
+        413: "the request is too large",
         422: "the request or the study file is wrong",
         503: "the trial database can't be reached",
     }.items()
@@ -151,6 +156,35 @@ def trials(
     return TrialPage(trials=[TrialOut.of(trial) for trial in rows], next=rows[-1].number if more else None)
 
 
+@router.get("/studies/{study}/window", tags=["trials"])
+def trial_window(
+    service: Uses,
+    study: Study,
+    sort: Annotated[
+        str, Query(max_length=200, description="a field, with - before it descending; e.g. -value, params.rate")
+    ] = "number",
+    state: Annotated[list[TrialState] | None, Query(description="only trials in these states")] = None,
+    where: Annotated[
+        list[Annotated[str, Field(max_length=300)]] | None,
+        Query(max_length=16, description="FIELD OPERATOR VALUE, all of which must hold; e.g. value>=0.5, message~NaN"),
+    ] = None,
+    offset: Annotated[int, Query(ge=0, le=LARGEST_ID, description="rows before the first one wanted")] = 0,
+    limit: Limit = 100,
+) -> TrialWindow:
+    """The rows of a table that a screen shows: filtered and sorted here, so that 50,000 trials stay where they are."""
+    cursor, history = service.store.last_event(), service.store.history_id()
+    trials = service.trials.all_trials(service.store.study(study))
+    found = ordered(matching(trials, state, where or []), sort)
+    return TrialWindow(
+        cursor=cursor,
+        history=history,
+        count=len(trials),
+        matched=len(found),
+        offset=offset,
+        trials=[TrialOut.of(trial) for trial in found[offset : offset + limit]],
+    )
+
+
 @router.get("/studies/{study}/table", tags=["trials"], response_model=TrialTable)
 def trial_table(service: Uses, study: Study) -> Response:
     """All trials as columns, for tables and charts."""
@@ -215,7 +249,11 @@ def artifacts(service: Uses, study: Study, number: Number) -> dict[str, Artifact
     "/studies/{study}/trials/{number}/artifacts/{name}",
     tags=["artifacts"],
     response_class=Response,
-    responses={200: {"content": {"application/octet-stream": {}}}, 304: {"description": "you have it"}},
+    responses={
+        200: {"content": {kind: {} for kind in ("application/octet-stream", *MEDIA_TYPES.values())}},
+        304: {"description": "you have it"},
+        410: {"model": ErrorOut, "description": "the file is damaged or gone"},
+    },
 )
 def artifact(
     service: Uses, request: Request, study: Study, number: Number, name: Annotated[str, Path(max_length=255)]

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from services.cli import about, keeping, poses, starting, studies
+from services.cli import about, checking, keeping, poses, starting, studies
 
 EPILOG = (
     "Places: HALMA_HOME (default ~/.halma), HALMA_DB, HALMA_ARTIFACTS. "
@@ -52,4 +52,5 @@ for group, commands in (
     for command in commands:
         app.command(rich_help_panel=group)(command)
 app.add_typer(poses.app, name="poses", rich_help_panel="Know")
+app.add_typer(checking.task, name="task", rich_help_panel="Know")
 app.add_typer(about.database, name="db", rich_help_panel="Know")

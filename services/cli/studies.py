@@ -10,6 +10,7 @@ import typer
 from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
 from services.cli.findings import findings_table
+from services.cli.matters import matters_of, show_matters
 from services.cli.session import AsJson, Db, RayAddress, Session, console, print_json, print_json_line, say, session
 from services.cli.tables import done_of, fields_table, state_text, studies_table, trials_table
 from services.cli.words import count, duration, several, state_words, value_of
@@ -51,14 +52,17 @@ def ls(db: Db = None, as_json: AsJson = False) -> None:
 
 
 def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
-    """Show one study: where it stands, and what it has found so far."""
+    """Show one study: where it stands, what it has found so far, and which parameters matter."""
     with session(db) as opened:
         row = opened.store.study(name)
-        if as_json:
-            print_json(study_json(row, spec=True))
-            return
-        found = distinct_trials(row, opened.store.history(row.id))
-        lineage = lineage_words(opened.store.trials(row.id))
+        every = opened.store.trials(row.id)
+    matters = matters_of(row, every)
+    if as_json:
+        print_json({**study_json(row, spec=True), **matters.to_json()})
+        return
+    placed = [trial for trial in every if trial.position is not None]
+    found = distinct_trials(row, sorted(placed, key=lambda trial: trial.position or 0))
+    lineage = lineage_words(every)
     search = row.spec.get("search", {})
     fields = {
         "study": row.name,
@@ -80,11 +84,12 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         "finished": row.finished_at.astimezone().strftime("%Y-%m-%d %H:%M:%S") if row.finished_at else None,
     }
     console().print(fields_table({name: value for name, value in fields.items() if value is not None}))
-    say()
     if found:
+        say()
         screen = console()
         screen.print(findings_table(row, found, screen.width))
-        say()
+    show_matters(matters)
+    say()
     say(f"Next: {what_next(row)}")
 
 

@@ -60,6 +60,15 @@ class Beat:
 
 
 @dataclass(frozen=True, slots=True)
+class Hindered:
+    """The attempt can't keep its files now (a full disk, a server away) and waits; without a reason it goes on."""
+
+    attempt: int
+    token: int
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Reported:
     """An iteration is done. `samples` and `seconds` count from the first attempt on."""
 
@@ -108,7 +117,7 @@ class Vanished:
     reason: str
 
 
-Message = Began | Beat | Reported | Ended | Stopped | Crashed | Vanished
+Message = Began | Beat | Hindered | Reported | Ended | Stopped | Crashed | Vanished
 
 
 def encode_assignment(assignment: Assignment) -> str:
@@ -124,7 +133,7 @@ def decode_assignment(text: str) -> Assignment:
 
 
 _KINDS: dict[str, type[Any]] = {
-    kind.__name__: kind for kind in (Began, Beat, Reported, Ended, Stopped, Crashed, Vanished)
+    kind.__name__: kind for kind in (Began, Beat, Hindered, Reported, Ended, Stopped, Crashed, Vanished)
 }
 
 Deliver = Callable[[Sequence[Message]], None]

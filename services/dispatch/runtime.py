@@ -11,15 +11,29 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import safetensors.numpy
 
 import services
 import workers
 from services.artifacts import ArtifactStore
-from services.dispatch.port import Assignment, Beat, Began, Crashed, Ended, Message, Reported, Stopped, decode, encode
-from services.errors import ArtifactDamaged
+from services.dispatch.port import (
+    Assignment,
+    Beat,
+    Began,
+    Crashed,
+    Ended,
+    Hindered,
+    Message,
+    Reported,
+    Stopped,
+    decode,
+    encode,
+)
+from services.errors import ArtifactDamaged, StorageUnavailable
 from services.store.port import NewArtifact
 from workers.contracts import BadJob, Checkpoint, Context, Cost, Interrupted, Job
 from workers.run import run
@@ -33,7 +47,11 @@ LOG_LINES = 2000
 KEPT_REPORTS = 500
 """So many newest reports travel with a checkpoint. A worker that outlives its coordinator is ended within seconds."""
 
+FIRST_PAUSE, LONGEST_PAUSE = 0.5, 10.0
+"""Seconds between tries to reach storage that is full or away; doubling."""
+
 Send = Callable[[Message], None]
+Kept = TypeVar("Kept")
 
 
 def encode_checkpoint(checkpoint: Checkpoint, reports: Sequence[Reported] = ()) -> bytes:
@@ -93,10 +111,12 @@ class WorkerContext:
 
     def save_checkpoint(self, checkpoint: Checkpoint) -> None:
         data = encode_checkpoint(checkpoint, self._reports)
-        self._artifacts.put_checkpoint(self._assignment.study_key, self._assignment.trial, checkpoint.iteration, data)
+        key, trial = self._assignment.study_key, self._assignment.trial
+        self._patiently(lambda: self._artifacts.put_checkpoint(key, trial, checkpoint.iteration, data))
 
     def load_checkpoint(self) -> Checkpoint | None:
-        newest = self._artifacts.newest_checkpoint(self._assignment.study_key, self._assignment.trial)
+        key, trial = self._assignment.study_key, self._assignment.trial
+        newest = self._patiently(lambda: self._artifacts.newest_checkpoint(key, trial))
         if newest is None:
             return None
         checkpoint, reports = decode_checkpoint(newest[1])
@@ -110,13 +130,38 @@ class WorkerContext:
 
     def save_artifact(self, name: str, data: bytes) -> None:
         assignment = self._assignment
-        self._kept[name] = self._artifacts.put(assignment.study_key, assignment.trial, name, data)
+        self._kept[name] = self._patiently(
+            lambda: self._artifacts.put(assignment.study_key, assignment.trial, name, data)
+        )
+
+    def _patiently(self, do: Callable[[], Kept]) -> Kept:
+        """Do something with storage, waiting where it is full or away: no training is lost over it.
+
+        Raises:
+            Interrupted: the attempt was asked to stop meanwhile; it goes on from the newest checkpoint that was kept.
+        """
+        attempt, token = self._assignment.attempt, self._assignment.token
+        pause, hindered = FIRST_PAUSE, False
+        while True:
+            try:
+                done = do()
+            except StorageUnavailable as error:
+                hindered = True
+                # Each time: it is also what lets a coordinator in the same thread look up.
+                self._send(Hindered(attempt, token, str(error)))
+                if self._stop.wait(pause):
+                    raise Interrupted(str(error)) from error
+                pause = min(2 * pause, LONGEST_PAUSE)
+            else:
+                if hindered:
+                    self._send(Hindered(attempt, token))
+                return done
 
     def parent_artifact(self, name: str) -> bytes:
         for artifact in self._assignment.parent_artifacts:
             if artifact.name == name:
                 try:
-                    return self._artifacts.read(artifact)
+                    return self._patiently(partial(self._artifacts.read, artifact))
                 except ArtifactDamaged as error:
                     raise BadJob(f"its {name} can't be used: {error}") from error
         found = ", ".join(artifact.name for artifact in self._assignment.parent_artifacts) or "nothing"

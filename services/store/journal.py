@@ -9,6 +9,7 @@ Events, and what their payload holds (`trial` is the trial's number; studies' ow
 | `extended` | study | `trials`, `cost` (more of it), `state` |
 | `driven` | study | `driver`, `host`, `pid`, `token` |
 | `released` | study | `state`, `reason` |
+| `waiting`, `going_on` | study | `reason`: what a driven study waits for (a full disk); empty when it goes on |
 | `deleted` | study | `study` (name) |
 | `proposed` | study | `proposal` (id), `strategy`, `trials` (numbers) |
 | `started` | trial | `attempt`, `worker`, `host` |

@@ -244,6 +244,9 @@ class Change(Protocol):
     def beat_drive(self, study_id: int, drive_token: int) -> None:
         """Say that the driver lives."""
 
+    def remark(self, study_id: int, drive_token: int, reason: str) -> None:
+        """Say why a driven study waits (its `reason`), or with an empty one that it goes on."""
+
     def release_drive(self, study_id: int, drive_token: int, state: StudyState, reason: str = "") -> None:
         """Stop driving and leave the study in `state`. No attempt may be running."""
 

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from sqlalchemy import Connection, Engine, Select, bindparam, case, func, select
+from sqlalchemy import Connection, Engine, Select, and_, bindparam, case, func, or_, select
 
 from services.errors import UnknownStudy, UnknownTrial
 from services.states import TrialState
@@ -31,6 +31,8 @@ from services.store.rows import (
 )
 from services.store.schema import artifacts, attempts, events, meta, metrics, proposals, studies, trials
 
+# An easier version of a task has values of its own: only those of the task itself answer what the best is.
+_ANSWERS = and_(trials.c.state == "complete", or_(trials.c.z.is_(None), trials.c.z == 1))
 _COUNTS = (
     select(
         trials.c.study_id,
@@ -38,7 +40,7 @@ _COUNTS = (
         func.count().label("trials"),
         func.sum(trials.c.samples).label("samples"),
         func.sum(trials.c.seconds).label("seconds"),
-        func.max(case((trials.c.state == "complete", trials.c.value))).label("best"),
+        func.max(case((_ANSWERS, trials.c.value))).label("best"),
     )
     .group_by(trials.c.study_id, trials.c.state)
     .subquery("counts")
@@ -55,7 +57,7 @@ _ONE_STUDY = (
         func.count(trials.c.id).label("trials"),
         func.sum(trials.c.samples).label("samples"),
         func.sum(trials.c.seconds).label("seconds"),
-        func.max(case((trials.c.state == "complete", trials.c.value))).label("best"),
+        func.max(case((_ANSWERS, trials.c.value))).label("best"),
     )
     .outerjoin_from(studies, trials, trials.c.study_id == studies.c.id)
     .where(studies.c.name == bindparam("name"))

@@ -23,6 +23,7 @@ _DRIVEN_BY = (
     & (studies.c.driver_id.is_not(None))
 )
 _BEAT_DRIVE = update(studies).where(_DRIVEN_BY).values(drive_beat=studies.c.drive_beat + 1)
+_REMARK = update(studies).where(_DRIVEN_BY).values(reason=bindparam("to_reason"))
 _RELEASE = (
     update(studies)
     .where(_DRIVEN_BY)
@@ -224,6 +225,13 @@ class StudyTransitions(Journal):
         """Say that the driver lives. Raises `Refused`."""
         if self._execute(_BEAT_DRIVE, {"study": study_id, "token": drive_token}).rowcount != 1:
             raise self._refuse_driver(study_id, drive_token, "the driver's beat")
+
+    def remark(self, study_id: int, drive_token: int, reason: str) -> None:
+        """Say why a driven study waits, or that it goes on. Raises `Refused`."""
+        values = {"study": study_id, "token": drive_token, "to_reason": clean(reason)}
+        if self._execute(_REMARK, values).rowcount != 1:
+            raise self._refuse_driver(study_id, drive_token, "the remark")
+        self._append("waiting" if reason else "going_on", study_id, None, {"reason": clean(reason)})
 
     def release_drive(self, study_id: int, drive_token: int, state: StudyState, reason: str = "") -> None:
         """Stop driving and leave the study in `state`. Raises `Refused`; no attempt may be running.

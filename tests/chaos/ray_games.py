@@ -181,8 +181,10 @@ def stopping(title, seconds):
         pid = game.one_of(title)
         if pid is None or not send(pid, signal.SIGSTOP):
             return False
-        time.sleep(seconds)
-        send(pid, signal.SIGCONT)
+        try:
+            time.sleep(seconds)
+        finally:
+            send(pid, signal.SIGCONT)
         return True
 
     return fault
@@ -318,11 +320,10 @@ def fill(which):
     def fault(game):
         folder = Path(game.arena.artifacts if which == "artifacts" else game.arena.database).parent
         ballast = folder / "ballast"
-        with ballast.open("wb") as file:
+        with ballast.open("wb", buffering=0) as file:  # a buffer would fail once more when it is closed
             try:
                 while True:
                     file.write(b"\0" * 4096)
-                    file.flush()
             except OSError as error:
                 if error.errno != errno.ENOSPC:
                     raise

@@ -178,6 +178,14 @@ class Interleavings(RuleBasedStateMachine):
                 self.cancel_queued()
             self.state, self.wanted = to, wanted
 
+    @precondition(lambda self: self.driver is not None)
+    @rule(data=st.data(), reason=st.sampled_from(["", "No space left on device"]))
+    def remark(self, data, reason):
+        token = self.a_drive_token(data)
+        self.attempted(self.drives(token), "remark", self.id, token, reason)
+        if self.drives(token):
+            assert self.store.study(self.name).reason == reason
+
     @precondition(lambda self: self.late())
     @rule(more=st.integers(1, 3))
     def extend(self, more):

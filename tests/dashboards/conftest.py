@@ -28,10 +28,10 @@ NAVIGATION_MS = 120_000
 class Service:
     """A real server over a real database, on a free port of this machine."""
 
-    def __init__(self, folder, template=None):
+    def __init__(self, folder, template=None, artifacts="artifacts"):
         self.folder = folder
         self.template = template
-        self.artifacts = open_artifacts(folder / "artifacts")
+        self.artifacts = open_artifacts(folder / artifacts)
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]

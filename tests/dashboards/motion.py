@@ -11,16 +11,16 @@ from workers.tasks.high_jump.behaviour import over_the_bar
 
 
 @cache
-def thrown(spin=1.0, bar=0.7):
-    """`Replay` of half a second around the bar."""
-    world = World()
+def thrown(spin=1.0, bar=0.7, frames=70):
+    """`Replay` of half a second around the bar; with 130 frames down to the mat."""
+    world = World(measure_torque=True)
     try:
         world.athlete.place([-0.8, 1.35, 0.0], [0.0, 0.0, 0.0, 1.0])
         world.athlete.push([2.6, 1.6, 0.0], [0.0, spin, -spin])
         world.set_bar(bar)
         recorder = Recorder("right_ankle", {"name": "high_jump"})
         recorder.start(world)
-        for _ in range(70):
+        for _ in range(frames):
             recorder.add(world, world.advance())
         return recorder.replay()
     finally:

@@ -215,7 +215,7 @@ class TestTrials:
         with page.expect_download() as download:
             page.click("text=Download CSV")
         assert download.value.suggested_filename == "jump.csv"
-        assert download.value.path().read_text().splitlines()[1].startswith("0,search,complete,0.5,0.5,")
+        assert download.value.path().read_text().splitlines()[1].startswith("0,search,complete,1.0,0.5,")
 
 
 class TestTrial:
@@ -247,13 +247,17 @@ class TestTrial:
         assert page.evaluate("window.notReloaded")
         browser.assert_calm()
 
-    def test_other_metrics_can_be_chosen_and_are_remembered(self, browser, record):
+    def test_metrics_can_be_chosen_and_are_remembered(self, browser, record):
         record.one()
         page = ready(browser, "/studies/jump/trials/0")
-        page.click("#metric-choice [data-metric=samples_per_second]")
-        expect(page.locator("#curves [data-metric=samples_per_second] .js-line")).to_have_count(1)
+        expect(page.locator("#curves [data-metric=kl] .js-line")).to_have_count(1)
+        page.click("#metric-choice [data-metric=kl]")
+        expect(page.locator("#curves [data-metric=kl]")).to_have_count(0)
         ready(browser, "/studies/jump/trials/0")
         expect(page.locator("#curves [data-metric=samples_per_second] .js-line")).to_have_count(1)
+        expect(page.locator("#curves [data-metric=kl]")).to_have_count(0)
+        page.click("#metric-choice [data-metric=kl]")
+        expect(page.locator("#curves [data-metric=kl] .js-line")).to_have_count(1)
 
     def test_one_without_motion_says_why(self, browser, record):
         record.one(state=TrialState.DIVERGED, message="the return became NaN at iteration 3")

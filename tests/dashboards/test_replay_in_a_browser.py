@@ -97,6 +97,32 @@ def test_it_shows_what_bullet_renders_of_the_same_state(browser, record, moment)
         assert overlap > 0.6, f"the silhouettes share {overlap:.2f}"
 
 
+def test_contact_forces_are_arrows_where_the_body_is_touched(browser, service):
+    Record(service.store, service.artifacts, "jump").begin().one(files=files(thrown(frames=130)))
+    page = opened(browser)
+    found = page.evaluate(
+        """() => {
+          const replay = document.querySelector("halma-replay");
+          const { arrays, frames, bodies, step } = replay.replay;
+          const told = [];
+          for (let frame = 0; frame < frames; frame++) {
+            const touched = [];
+            for (let body = 0; body < bodies; body++) {
+              const at = 3 * (frame * bodies + body);
+              const force = Math.hypot(...arrays.contact_force.subarray(at, at + 3));
+              if (force > 0.02 * replay.stage.weight) touched.push(body);
+            }
+            replay.seek(frame * step);
+            const shown = replay.stage.arrows.flatMap((arrow, body) => (arrow.visible ? [body] : []));
+            told.push([touched.join(), shown.join()]);
+          }
+          return told;
+        }"""
+    )
+    assert all(touched == shown for touched, shown in found)
+    assert any(touched for touched, _ in found), "the athlete lands on the mat"
+
+
 def test_it_plays_to_its_end_and_stops(browser, record):
     page = opened(browser)
     page.select_option("halma-replay select", "0.1")

@@ -45,6 +45,11 @@ def test_angles_are_told_in_degrees():
     assert words.feature(1.234, "m") == "1.23\u202fm"
 
 
+def test_lists_and_mappings_are_told_part_by_part():
+    assert words.listing([1.5654135088, -2]) == "1.565, \u22122"
+    assert words.listing({"from": [0.5], "kind": "relu"}) == "from 0.5, kind relu"
+
+
 @pytest.mark.parametrize("target", ["https://evil.example", "//evil.example", "/\\evil.example", "evil", "/a\nb", ""])
 def test_a_login_leads_only_inside(target):
     assert inside(target) == "/"

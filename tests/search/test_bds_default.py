@@ -11,7 +11,7 @@ from scipy.stats import norm
 from search_cases import facing, history_of, jump_space
 
 from search import Angle, Candidate, Features, Float, Observation, Space, make_strategy
-from search.bds.default import DiversityModel, fit_models
+from search.bds.default import INSETS, DiversityModel, fit_models
 from search.record import read_record
 from search.surrogate.embedding import Embedding
 from search.surrogate.milestones import milestone
@@ -198,3 +198,33 @@ def test_more_distinct_behaviours_are_found_than_by_random_search():
     chance = np.array([bins_found("random", s) for s in seeds])
     gain = ours - chance
     assert gain.mean() > 2 * gain.std(ddof=1) / math.sqrt(len(gain))
+
+
+def test_a_fit_that_breaks_falls_back_to_the_priors_and_says_so(monkeypatch):
+    import search.surrogate.fit as module
+
+    def broken(*arguments, **options):
+        raise np.linalg.LinAlgError("singular")
+
+    monkeypatch.setattr(module, "minimize", broken)
+    space = jump_space()
+    (c,) = make_strategy("bds", space, features=Features.circle()).propose(
+        history_of(space, 8, seed=0), [], 1, np.random.default_rng(0)
+    )
+    assert "surrogate not fitted, priors used: singular" in c.info["warnings"]
+
+
+def test_distances_from_the_faces_take_turns():
+    space = Space({"x": Float(0, 1), "y": Float(0, 1)})
+    strategy = make_strategy("bds", space, features=Features.circle())
+    gaps = {}
+    for n in range(4, 10):
+        history = [
+            Observation(Candidate(space.from_unit(u)), 1.0, [6 * u[0] - 3])
+            for u in np.random.default_rng(n).random((n, 2))
+        ]
+        (c,) = strategy.propose(history, [], 1, np.random.default_rng(n))
+        u = space.to_unit(c.params)
+        gaps.setdefault(c.info["inset"], []).append(float(np.minimum(u, 1 - u).min()))
+    assert sorted(gaps) == sorted(INSETS)
+    assert all(min(found) >= inset - 1e-9 for inset, found in gaps.items())

@@ -108,3 +108,19 @@ def test_nothing_has_no_clusters_and_wrong_shapes_are_refused():
         distinct([[0.0], [1.0]], [1.0], Features.circle(), 0.1)
     with pytest.raises(BadFeatures, match="threshold of at least 0, found -1"):
         distinct([[0.0]], [1.0], Features.circle(), -1)
+
+
+@given(outcomes, st.floats(0.01, 2))
+def test_clusters_agree_with_a_slow_obvious_version(pairs, threshold):
+    left = sorted(range(len(pairs)), key=lambda i: (-pairs[i][1], pairs[i][0]))
+    slow = []
+    while left:
+        leader = pairs[left[0]][0]
+        gaps = {i: abs(math.remainder(pairs[i][0] - leader, 2 * math.pi)) for i in left}
+        slow.append((left[0], tuple(sorted(i for i in left if gaps[i] <= threshold))))
+        left = [i for i in left if gaps[i] > threshold]
+    found = distinct([[a] for a, _ in pairs], [v for _, v in pairs], Features.circle(), threshold)
+    near_the_threshold = any(
+        abs(abs(math.remainder(a - b, 2 * math.pi)) - threshold) < 1e-9 for a, _ in pairs for b, _ in pairs
+    )
+    assert near_the_threshold or [(c.representative, c.members) for c in found] == slow

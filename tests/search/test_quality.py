@@ -12,10 +12,11 @@ from scipy.stats import norm
 from search import Candidate, Float, Int, Observation, Space, make_strategy
 from search.quality.acquisition import log_ei_gradient, log_expected_improvement, log_h, maximise
 from search.quality.budget import CostModel, spent
-from search.quality.cmfbo_published import ProductProcess
+from search.quality.fidelity import TREND, FidelityProcess, ProductProcess, negative_log_posterior
 from search.quality.model import ValueModel, standardise
 from search.record import read_record
-from search.surrogate.fit import Fit, Prior, fit_map, negative_log_posterior, squared_gaps
+from search.surrogate import fit as plain
+from search.surrogate.fit import Fit, Prior, fit_map, squared_gaps
 
 BOX = Space({"x": Float(0, 1), "y": Float(0, 1)})
 
@@ -62,13 +63,51 @@ def test_the_gradient_of_the_posterior_of_hyperparameters_agrees_with_finite_dif
     rng = np.random.default_rng(seed)
     X, Y, theta = rng.random((8, 3)), rng.standard_normal((8, 2)), rng.uniform(-1, 1, 3)
     D, prior = squared_gaps(X, [0, 1, 1]), Prior()
-    _, gradient = negative_log_posterior(theta, D, Y, prior)
+    _, gradient = plain.negative_log_posterior(theta, D, Y, prior)
     for i in range(3):
         up, down = theta.copy(), theta.copy()
         up[i] += 1e-6
         down[i] -= 1e-6
-        slow = (negative_log_posterior(up, D, Y, prior)[0] - negative_log_posterior(down, D, Y, prior)[0]) / 2e-6
+        slow = (
+            plain.negative_log_posterior(up, D, Y, prior)[0] - plain.negative_log_posterior(down, D, Y, prior)[0]
+        ) / 2e-6
         assert gradient[i] == pytest.approx(slow, rel=1e-3, abs=1e-4)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_gradient_over_hyperparameters_of_parameters_and_difficulty_agrees_with_finite_differences(seed):
+    rng = np.random.default_rng(seed)
+    XZ, y, theta = rng.random((8, 4)), rng.standard_normal(8), rng.uniform(-1, 1, 4)
+    D, z, prior = squared_gaps(XZ, [0, 1, 1, 2]), XZ[:, -1] - XZ[:, -1].mean(), Prior()
+    others = (D, TREND * np.outer(z, z), y, prior, Prior(length=2.0))
+    _, gradient = negative_log_posterior(theta, *others)
+    for i in range(4):
+        up, down = theta.copy(), theta.copy()
+        up[i] += 1e-6
+        down[i] -= 1e-6
+        slow = (negative_log_posterior(up, *others)[0] - negative_log_posterior(down, *others)[0]) / 2e-6
+        assert gradient[i] == pytest.approx(slow, rel=1e-3, abs=1e-4)
+
+
+def test_the_kernel_is_a_product_over_parameters_and_difficulty_and_a_trend():
+    w = np.array([2.0, 0.5])
+    gp = FidelityProcess(np.empty((0, 2)), np.empty((0, 1)), w, np.ones(1), 1e-3, np.zeros(1), 0.4)
+    a, b = np.array([[0.1, 0.2]]), np.array([[0.6, 1.0]])
+
+    def matern(r):
+        return (1 + math.sqrt(5) * r + 5 * r * r / 3) * math.exp(-math.sqrt(5) * r)
+
+    product = matern(2.0 * 0.5) * matern(0.5 * 0.8)
+    assert gp.kinship(a, b)[0, 0] == pytest.approx(product)
+    assert gp.correlation_between(a, b)[0, 0] == pytest.approx(product + 4.0 * -0.2 * 0.6)
+    assert gp.prior_variance(b)[0] == pytest.approx(1 + 4.0 * 0.36)
+
+
+def test_the_first_low_value_of_the_real_task_counts_against_the_difficulty_and_not_against_its_parameters():
+    easy = [(x, 0.5, 0.1, math.exp(-((x - 0.6) ** 2) / 0.02), 0.2) for x in np.linspace(0, 1, 11)]
+    model = ValueModel(BOX, record_of([*easy, (0.6, 0.5, 1.0, 0.2, 1.0)]), Fit(np.array([4.0, 4.0, 0.3]), 1e-4, 1.0))
+    mean, _ = model.posterior(np.array([[0.6, 0.5], [0.1, 0.5]]), 1.0)
+    assert mean[0] > mean[1] + 1.0
 
 
 def test_the_fit_finds_the_parameter_that_matters_and_the_noise():
@@ -88,7 +127,7 @@ def test_leave_one_out_agrees_with_leaving_one_out():
     gp = ValueModel(BOX, record, fitted).gp
     for i in range(6):
         rest = np.arange(6) != i
-        slow = type(gp)(gp.X[rest], gp.Y[rest], gp.w, gp.amplitude, 0.01, gp.mean)
+        slow = type(gp)(gp.X[rest], gp.Y[rest], gp.w, gp.amplitude, 0.01, gp.mean, gp.centre)
         m, v = slow.posterior(gp.X[[i]])
         assert mean[i] == pytest.approx(m[0])
         assert variance[i] == pytest.approx(v[0] + 0.01)

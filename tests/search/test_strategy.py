@@ -177,3 +177,12 @@ def test_half_of_the_edge_controls_coordinates_lie_on_faces():
     on_face = (units < 1e-9) | (units > 1 - 1e-9)
     assert not on_face[:, 0].any()  # an angle has no faces
     assert np.all(np.abs(on_face[:, 1:].mean(0) - 0.5) < 0.05)
+
+
+def test_a_quaternion_that_is_no_rotation_names_its_index_and_its_norm():
+    strategy = make_strategy("bds", jump_space(), features=Features.rotation())
+    history = [Observation(Candidate(GOOD), 1.0, [0, 0, 0, 1]), Observation(Candidate(GOOD), 1.0, [1, 1, 0, 0])]
+    with pytest.raises(
+        BadHistory, match=r"history\[1\]: expected a unit quaternion \(x, y, z, w\), found norm 1.41421"
+    ):
+        strategy.propose(history, [], 1, np.random.default_rng(0))

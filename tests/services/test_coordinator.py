@@ -7,7 +7,7 @@ import pytest
 
 from services.admission import admit
 from services.coordinator import START_LEASE_SECONDS, WORKER_LEASE_SECONDS, Coordinator
-from services.dispatch.port import Assignment, Beat, Began, Crashed, Ended, Reported, Stopped, Vanished
+from services.dispatch.port import Assignment, Beat, Began, Crashed, Ended, Hindered, Reported, Stopped, Vanished
 from services.errors import DatabaseUnavailable, StudyDriven
 from services.proposing import InlineStrategist, proposal_key
 from services.spec_check import parse_study
@@ -482,6 +482,63 @@ def test_no_result_is_lost_or_doubled_when_the_database_goes_away_at_any_commit(
     assert sorted(trial.position for trial in world.trials()) == [0, 1, 2]
     for number in range(3):
         assert world.attempts(number).count(AttemptState.COMPLETE) == 1
+    world.store.close()
+
+
+def test_a_study_whose_files_can_not_be_kept_says_so_and_loses_nothing(world):
+    world.steps()
+    first, second = world.dispatcher.given
+    world.dispatcher.inbox += [
+        Hindered(given.attempt, given.token, reason="No space left on device") for given in (first, second)
+    ]
+    world.steps(2)
+    assert world.store.study("s").reason == "No space left on device"
+    world.dispatcher.inbox.append(Hindered(first.attempt, first.token, reason=""))
+    world.steps(1)
+    assert world.store.study("s").reason == "No space left on device", "the other one still waits"
+    world.dispatcher.inbox.append(Hindered(second.attempt, second.token, reason=""))
+    world.steps(1)
+    row = world.store.study("s")
+    assert (row.state, row.reason) == (StudyState.RUNNING, "")
+    assert [len(world.events(kind)) for kind in ("waiting", "going_on")] == [1, 1]
+    assert world.attempts(0) == world.attempts(1) == [AttemptState.RUNNING]
+
+
+def test_a_database_that_can_be_read_and_not_written_is_waited_for(tmp_path):
+    world = World(tmp_path / "halma.db")
+    world.store = flaky = Flaky(world.store)
+    world.coordinator = world.driver()
+    world.coordinator.take("s")
+    world.steps()
+    flaky.fail_before = 5
+    world.dispatcher.end(world.dispatcher.given[0], value=7.0)
+    began = world.clock.now
+    world.steps(1)
+    assert world.trials()[0].value == 7.0
+    assert world.clock.now - began > 3.0
+    assert world.coordinator.trouble() == ""
+    back = [event for event in world.store.events() if event.kind == "database_back"]
+    assert [event.payload["reason"] for event in back] == ["away"]
+    world.store.close()
+
+
+def test_a_read_that_fails_does_not_end_the_driver(tmp_path):
+    world = World(tmp_path / "halma.db")
+    reads = {"left": 2}
+    studies = world.store.studies
+
+    def away():
+        if reads["left"]:
+            reads["left"] -= 1
+            raise DatabaseUnavailable("away")
+        world.coordinator.leave(StudyState.QUEUED, "the service stopped")
+        return studies()
+
+    world.store.studies = away
+    world.coordinator = world.driver()
+    world.dispatcher.poll = lambda deliver, timeout: world.clock.sleep(1.0)
+    world.coordinator.serve()
+    assert reads["left"] == 0
     world.store.close()
 
 

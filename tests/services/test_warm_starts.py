@@ -19,6 +19,7 @@ from services.dispatch.inline import InlineDispatcher
 from services.lineage import line_of, lineage_words
 from services.problems import BadStudy
 from services.proposing import InlineStrategist, Proposer
+from services.report import findings
 from services.spec_check import parse_study
 from services.states import StudyState, TrialState
 from services.store.open import open_store
@@ -199,3 +200,14 @@ def test_a_strategy_that_chooses_difficulties_needs_a_task_that_has_one(strategy
     )
     assert "gp_ucb" in message
     assert json.dumps(message)
+
+
+def test_only_the_task_itself_has_a_best_value(service):
+    service.drive()
+    row, trials = service.store.study("s"), service.trials()
+    values = [trial.value for trial in trials]
+    assert row.best_value == max(values)
+    plain = replace(row, spec={**row.spec, "behaviour": None})
+    easy = [replace(trial, z=0.2, value=99.0) for trial in trials[:1]] + trials[1:]
+    best = findings(plain, easy)
+    assert [finding.trial.number for finding in best] == sorted((1, 2), key=lambda number: -values[number])

@@ -216,7 +216,7 @@ def test_a_missing_package_is_named(monkeypatch):
         ),
         (
             {"difficulty": "size"},
-            "task.settings.difficulty: expected a mapping with argument, low and high, found 'size'",
+            "task.settings.difficulty: expected a mapping with argument, low and high, with budget",
         ),
         (
             {"difficulty": {"argument": "size", "low": "a", "high": 1}},
@@ -278,3 +278,23 @@ def test_its_own_space_and_training_settings_are_told():
     assert info.training == DEFAULTS.to_json()
     assert not info.has_difficulty
     assert isinstance(registered("Pendulum-v1"), GymnasiumTask)
+
+
+def test_difficulty_can_be_a_part_of_the_budget(tmp_path):
+    task = from_class("m:Sized", Sized)
+    settings = {"difficulty": {"budget": 0.25}}
+    assert task.info(settings).has_difficulty
+    assert task.budget_at(settings, {"budget": {"samples": 1000, "iterations": 10}}, 0.0).samples == 250
+    assert task.budget_at(settings, {"budget": {"samples": 1000, "iterations": 10}}, 0.5).iterations == 6
+    training = QUICK | {"budget": {"samples": 1000}}
+    samples = [
+        outcome(task, tmp_path / str(z), settings=settings, training=training, z=z).cost.samples for z in (0.0, 1.0)
+    ]
+    assert 250 <= samples[0] < 350
+    assert 1000 <= samples[1] < 1100
+
+
+@pytest.mark.parametrize("share", [0, 1.5, "all", True])
+def test_a_part_of_the_budget_is_a_share(share):
+    with pytest.raises(BadSetting, match=r"difficulty.budget: expected a share above 0 and at most 1"):
+        from_class("m:Sized", Sized).validate({"difficulty": {"budget": share}}, {}, [])

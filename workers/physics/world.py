@@ -14,9 +14,10 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pybullet as bullet
@@ -56,6 +57,8 @@ class Contacts:
         penetration: deepest overlap of a body with ground, wall or mat, m.
         overlap: deepest overlap of two bodies of the athlete, m.
         torque: of the muscles at the start of the frame ``[28]``, N m; only where the world measures it.
+        pushes: for each link touched, the force on it (N, mean over the frame) and the sum of where it acts times its
+            normal part, as ``[force x y z, normal force, weighted point x y z]``; only where the world measures torque.
     """
 
     ground: set[int] = field(default_factory=set)
@@ -66,6 +69,17 @@ class Contacts:
     penetration: float = 0.0
     overlap: float = 0.0
     torque: Array | None = None
+    pushes: dict[int, Array] = field(default_factory=dict)
+
+    def add_push(self, link: int, point: Sequence[Any], *, is_first: bool, share: float) -> None:
+        """Add one of Bullet's contact points to the link's push, for a step that is `share` of the frame."""
+        # Bullet's normal leads from the second body to the first; friction acts on the first along its two directions.
+        sign = 1.0 if is_first else -1.0
+        normal, first, second = (np.asarray(point[i]) for i in (7, 11, 13))
+        force = sign * (point[9] * normal + point[10] * first + point[12] * second)
+        at = np.asarray(point[5 if is_first else 6])
+        row = self.pushes.setdefault(link, np.zeros(7))
+        row += share * np.concatenate([force, [point[9]], point[9] * at])
 
 
 @contextlib.contextmanager
@@ -90,7 +104,8 @@ class World:
 
     Args:
         mat_height: thickness of the mat, m.
-        measure_torque: whether `advance` tells the muscles' torques, which takes longer than the frame itself.
+        measure_torque: whether `advance` tells the muscles' torques and the contact forces, which takes longer than
+            the frame itself.
         gravity: m/s^2, downwards.
     """
 
@@ -200,14 +215,14 @@ class World:
             distance = point[8]
             if distance > _TOUCH:
                 continue
-            if point[1] == body:
-                link, other = point[3], point[2]
-            else:
-                link, other = point[4], point[1]
+            is_first = point[1] == body
+            link, other = (point[3], point[2]) if is_first else (point[4], point[1])
             if other == body:
                 seen.overlap = max(seen.overlap, -distance)
                 continue
             seen.penetration = max(seen.penetration, -distance)
+            if self.measure_torque:
+                seen.add_push(link, point, is_first=is_first, share=share)
             if other == self._ground:
                 seen.ground.add(link)
                 self._since_ground = 0.0

@@ -3,9 +3,9 @@
 The value is the mean return of the learnt policy over seeded deterministic episodes. What can be searched over are the
 learner's settings (`ppo.clip`, `ppo.actor_rate`, ..., `network.activation`) and the arguments of the environment's
 constructor, by name. The difficulty is the constructor's argument `z` where it has one, or the argument that the
-settings name:
+settings name; it may also be how long a training lasts (`budget`: the share of it at z = 0), or both:
 
-    task: {name: "gymnasium:Pendulum-v1", settings: {difficulty: {argument: g, low: 2.0, high: 10.0}}}
+    task: {name: "gymnasium:Pendulum-v1", settings: {difficulty: {argument: g, low: 2.0, high: 10.0, budget: 0.2}}}
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields, replace
 from typing import Any
 
 import gymnasium
@@ -28,13 +28,15 @@ from workers.contracts import (
     Job,
     Outcome,
     ParameterSpec,
+    Scalar,
     TaskInfo,
 )
 from workers.learning.ppo import POLICY_ARTIFACT, train
 from workers.learning.problem import Curriculum, Diverged, Trained
 from workers.learning.rollout import Episode, NotFinite, action_map, in_words, observation_size, play
 from workers.learning.settings import Budget, NetworkSettings, PPOSettings, TrainingSettings
-from workers.tasks.features import WrongFeatures, declared_features, mean_behaviour, read_behaviour
+from workers.tasks.features import WrongFeatures, mean_behaviour, read_behaviour
+from workers.tasks.gymnasium_settings import Arguments, EnvironmentSettings, read_settings
 from workers.user_code import EnvironmentFailed, UnknownTask, import_module, suggestion, user_traceback
 
 Env = gymnasium.Env[Any, Any]
@@ -55,43 +57,6 @@ SPACE: Mapping[str, ParameterSpec] = {
     "ppo.minibatch": ParameterSpec("int", 32, 512, log=True),
 }
 """What is searched where the study file gives no space."""
-
-_SECTION = "task.settings"
-
-
-@dataclass(frozen=True, slots=True)
-class Difficulty:
-    """Which constructor argument z stands for: low + z (high - low)."""
-
-    argument: str
-    low: float
-    high: float
-
-    def at(self, z: float) -> float:
-        """The argument's value."""
-        return self.low + z * (self.high - self.low)
-
-
-@dataclass(frozen=True, slots=True)
-class EnvironmentSettings:
-    """The task's settings.
-
-    Args:
-        arguments: of the environment's constructor.
-        difficulty: None where z means nothing.
-        episodes: how many deterministic ones the value is the mean of.
-        max_episode_steps: time limit, None for the environment's own.
-        rebuild: whether each iteration begins with new environments. Without it a training is faster where they are
-            slow to make, but resumes bit by bit only if `reset` forgets everything.
-        features: what `info["features"]` at the end of an episode means; None where behaviour plays no part.
-    """
-
-    arguments: Mapping[str, JSON]
-    difficulty: Difficulty | None
-    episodes: int
-    max_episode_steps: int | None
-    rebuild: bool
-    features: FeatureSpec | None
 
 
 class Renewed(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -141,19 +106,17 @@ class GymnasiumTask:
 
     def __init__(self, name: str, summary: str, make: Callable[..., Env]) -> None:
         self.name, self.summary, self._make = name, summary, make
-        parameters = _constructor(make)
-        self._arguments = {p.name for p in parameters if p.kind in {p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY}}
-        self._takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters)
+        self._arguments = Arguments(make)
 
     def info(self, settings: Mapping[str, JSON]) -> TaskInfo:
         """The environment under these settings. Raises `BadSetting`."""
-        read = self._read(settings)
+        read = read_settings(settings, self._arguments)
         return TaskInfo(
             self.name,
             self.summary,
             SPACE,
             read.features,
-            has_difficulty=read.difficulty is not None or "z" in self._arguments,
+            has_difficulty=read.difficulty is not None or "z" in self._arguments.names,
             settings={
                 "arguments": dict(read.arguments),
                 "difficulty": settings.get("difficulty"),
@@ -171,12 +134,11 @@ class GymnasiumTask:
         An environment whose constructor needs an argument that the space gives can't be made yet; its spaces are
         looked at when a trial runs.
         """
-        read = self._read(settings)
+        read = read_settings(settings, self._arguments)
         TrainingSettings.parse(training, DEFAULTS)
         for name in names:
             self._check_name(name)
-        needed = {p.name for p in _constructor(self._make) if p.default is p.empty and p.name in self._arguments}
-        if needed <= {*read.arguments, "z"} | ({read.difficulty.argument} if read.difficulty else set()):
+        if self._arguments.needed <= {*read.arguments, "z", *([read.difficulty.argument] if read.difficulty else [])}:
             env = self._first(self._maker(read, {}, None))
             try:
                 observation_size(env)
@@ -195,8 +157,10 @@ class GymnasiumTask:
 
     def run(self, job: Job, context: Context) -> Outcome:
         """Train, then play deterministic episodes; their mean return is the value."""
-        read = self._read(job.task_settings)
+        read = read_settings(job.task_settings, self._arguments)
         training, arguments = self._apply(job)
+        if read.difficulty is not None and job.z is not None:
+            training = replace(training, budget=read.difficulty.part_of(training.budget, job.z))
         problem = EnvironmentProblem(self._maker(read, arguments, job.z), rebuild=read.rebuild)
         trained = train(job, context, problem, training)
         context.save_artifact(POLICY_ARTIFACT, trained.policy.to_bytes())
@@ -240,45 +204,6 @@ class GymnasiumTask:
             raise BadJob(f'task {self.name!r}: info["features"] at the end of an episode: {error}') from None
         return mean_behaviour(spec, [r for r in rows if r is not None])
 
-    def _read(self, settings: Mapping[str, JSON]) -> EnvironmentSettings:
-        known = [f.name for f in fields(EnvironmentSettings)]
-        for key in settings:
-            if key not in known:
-                raise BadSetting(_SECTION, key, f"unknown setting{suggestion(key, known)}")
-        arguments = settings.get("arguments") or {}
-        if not isinstance(arguments, Mapping):
-            raise BadSetting(_SECTION, "arguments", f"expected a mapping, found {arguments!r}")
-        for name in arguments:
-            self._check_argument("arguments", name)
-        rebuild = settings.get("rebuild", True)
-        if not isinstance(rebuild, bool):
-            raise BadSetting(_SECTION, "rebuild", f"expected true or false, found {rebuild!r}")
-        limit = settings.get("max_episode_steps")
-        return EnvironmentSettings(
-            arguments,
-            self._difficulty(settings.get("difficulty")),
-            _count("episodes", settings.get("episodes", 10)),
-            None if limit is None else _count("max_episode_steps", limit),
-            rebuild,
-            declared_features(settings),
-        )
-
-    def _difficulty(self, given: JSON) -> Difficulty | None:
-        if given is None:
-            return None
-        if not isinstance(given, Mapping) or set(given) != {"argument", "low", "high"}:
-            raise BadSetting(_SECTION, "difficulty", f"expected a mapping with argument, low and high, found {given!r}")
-        self._check_argument("difficulty.argument", given["argument"])
-        for key in ("low", "high"):
-            if not isinstance(given[key], int | float) or not math.isfinite(given[key]):
-                raise BadSetting(_SECTION, f"difficulty.{key}", f"expected a number, found {given[key]!r}")
-        return Difficulty(given["argument"], float(given["low"]), float(given["high"]))
-
-    def _check_argument(self, field: str, name: str, section: str = _SECTION) -> None:
-        if name not in self._arguments and not self._takes_any:
-            known = ", ".join(sorted(self._arguments)) or "none"
-            raise BadSetting(section, field, f"the environment's constructor has no argument {name!r}; it has {known}")
-
     def _check_name(self, name: str) -> None:
         head, _, tail = name.partition(".")
         learner: Mapping[str, list[str]] = {
@@ -286,7 +211,7 @@ class GymnasiumTask:
             "network": ["activation"],
         }
         if not tail:
-            self._check_argument(name, name, "space")
+            self._arguments.check(name, name, "space")
         elif tail not in learner.get(head, []):
             known = [f"{h}.{t}" for h, names in learner.items() for t in names]
             raise BadSetting("space", name, f"no setting of the learner{suggestion(name, known)}")
@@ -304,12 +229,23 @@ class GymnasiumTask:
                 arguments[name] = value
         return TrainingSettings.parse(training, DEFAULTS), arguments
 
+    def maker(self, settings: Mapping[str, JSON], params: Mapping[str, Scalar], z: float | None) -> Callable[[], Env]:
+        """How to make the environment of a candidate, e.g. to look at it. Raises `BadSetting`."""
+        arguments = {name: value for name, value in params.items() if "." not in name}
+        return self._maker(read_settings(settings, self._arguments), arguments, z)
+
+    def budget_at(self, settings: Mapping[str, JSON], training: Mapping[str, JSON], z: float) -> Budget:
+        """The budget of a training at difficulty z. Raises `BadSetting`."""
+        difficulty = read_settings(settings, self._arguments).difficulty
+        whole = TrainingSettings.parse(training, DEFAULTS).budget
+        return whole if difficulty is None else difficulty.part_of(whole, z)
+
     def _maker(self, read: EnvironmentSettings, arguments: Mapping[str, JSON], z: float | None) -> Callable[[], Env]:
         """How to make the environment of one candidate."""
         given = {**read.arguments, **arguments}
-        if read.difficulty is not None:
+        if read.difficulty is not None and read.difficulty.argument is not None:
             given[read.difficulty.argument] = read.difficulty.at(1.0 if z is None else z)
-        elif "z" in self._arguments and (z is not None or "z" not in given):
+        elif "z" in self._arguments.names and (z is not None or "z" not in given):
             given["z"] = 1.0 if z is None else z
 
         def make() -> Env:
@@ -364,15 +300,5 @@ def from_class(name: str, found: type) -> GymnasiumTask:
     return GymnasiumTask(name, summary, found)
 
 
-def _constructor(make: Callable[..., Env]) -> list[inspect.Parameter]:
-    return [p for p in inspect.signature(make).parameters.values() if p.name not in {"self", "render_mode"}]
-
-
 def _missing(name: str, error: Exception) -> UnknownTask:
     return UnknownTask(f"task {name!r}: a package it needs is missing: {error}")
-
-
-def _count(field: str, value: JSON) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-        raise BadSetting(_SECTION, field, f"expected a whole number of at least 1, found {value!r}")
-    return value

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import threading
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
+from search import Categorical, Float
 from services.insight import looked_at
 from services.spec_check import parse_study
 from services.states import TrialState
@@ -64,6 +66,13 @@ def tuned(store, name="tuned", strategy="cmfbo", trials=24):
                 attempt.id, attempt.token, Result(TrialState.COMPLETE, float(value), samples=samples, seconds=2.0 * z)
             )
     return study
+
+
+@dataclass
+class BestTrial:
+    params: dict
+    number: int = 7
+    value: float = 0.5
 
 
 class TestSlice:
@@ -128,7 +137,7 @@ class TestSlice:
         assert np.shape(shown["mean"]) == (2, 5)
 
     def test_sliders_move_the_others(self, client, store):
-        tuned(store)
+        tuned(store, trials=48)
         query = {"x": "width", "y": "kind", "size": 3}
         at = [
             client.get("/api/v1/studies/tuned/slice", params={**query, "at": json.dumps({"rate": rate})}).json()
@@ -234,8 +243,18 @@ class TestImportance:
         assert pasted.space["kind"].choices == (best["params"]["kind"],)
         assert pasted.space["rate"].log
 
+    @pytest.mark.parametrize("name", ["on", "1e-4", "a: b", "ppo.clip", "~", 'say "hi"', "α", "null", "#x"])
+    def test_names_that_yaml_would_misread_are_quoted(self, name):
+        from services.insight import space_yaml
+        from services.located_yaml import parse
+
+        text = space_yaml({name: Float(0.0, 1.0), "c": Categorical((name,))}, BestTrial({name: 0.5, "c": name}))
+        space = parse(text).value["space"]
+        assert set(space) == {name, "c"}
+        assert space["c"]["choices"] == [name]
+
     def test_an_easier_trial_is_never_the_best_setting(self, client, record):
-        record.one(iterations=1, files=())  # at z = 0.5
+        record.one(iterations=1, files=(), z=0.5)
         assert client.get("/api/v1/studies/jump/importance").json()["best"] is None
 
     def test_a_behaviour_that_plays_no_part_is_refused(self, client, store):

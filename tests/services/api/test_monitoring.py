@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 from services.api.monitoring import exposition
 from services.states import TrialState
 from tests.record import Record
@@ -64,11 +62,44 @@ def test_prometheus_reads_what_the_record_holds(client, store, record):
         assert line in lines
 
 
-def test_every_line_is_of_the_text_format(store, artifacts):
-    Record(store, artifacts, "first").begin()
-    sample = re.compile(r'^[a-z_]+(\{[a-z]+="[^"\n]*"(,[a-z]+="[^"\n]*")*\})? -?[0-9.e+-]+$')
-    for line in "".join(exposition(store.studies(), 7, 0)).splitlines():
-        assert line.startswith(("# HELP ", "# TYPE ")) or sample.match(line), line
+def test_prometheus_own_parser_reads_every_family(store, artifacts, client):
+    from prometheus_client.parser import text_string_to_metric_families
+
+    record = Record(store, artifacts, "first").begin()
+    record.one(value=-0.25)
+    families = {each.name: each for each in text_string_to_metric_families(client.get("/metrics").text)}
+    assert {name: family.type for name, family in families.items()} == {
+        "halma_studies": "gauge",
+        "halma_trials": "gauge",
+        "halma_samples": "counter",
+        "halma_training_seconds": "counter",
+        "halma_best_value": "gauge",
+        "halma_events": "counter",
+        "halma_viewers": "gauge",
+    }
+    assert all(family.documentation for family in families.values())
+    (best,) = families["halma_best_value"].samples
+    assert (best.labels, best.value) == ({"study": "first"}, -0.25)
+    (samples,) = families["halma_samples"].samples
+    assert (samples.name, samples.value) == ("halma_samples_total", 7000.0)
+
+
+def test_names_with_quotes_and_line_breaks_are_escaped(store, artifacts):
+    from dataclasses import replace
+
+    from prometheus_client.parser import text_string_to_metric_families
+
+    Record(store, artifacts, "odd").begin()
+    odd = 'a "quoted"\nname \\ with all'
+    rows = [replace(row, name=odd) for row in store.studies()]
+    text = "".join(exposition(rows, 7, 0))
+    named = [
+        sample.labels["study"]
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+        if "study" in sample.labels
+    ]
+    assert set(named) == {odd}
 
 
 def test_prometheus_needs_the_token_too(anyone):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import time
 
 from PIL import Image
@@ -18,6 +19,11 @@ def hill(params):
 def bare_hill(params):
     """Height on a hill, without behaviour."""
     return 1 - (params["x"] - 0.3) ** 2
+
+
+def peak(params, z):
+    """Highest at a rate of 1e-3; easier versions are lower and cheaper."""
+    return z * (9 - (math.log10(params["rate"]) + 3) ** 2), None, int(1000 * z)
 
 
 def cliff(params):

@@ -69,3 +69,25 @@ def test_help_and_version_exit_with_0(shell, arguments):
     typed = shell(*arguments)
     assert typed.code == 0
     assert typed.out
+
+
+def test_a_task_is_checked_by_its_name_or_by_its_study_file(shell, tmp_path):
+    good = shell("task", "check", "gymnasium:CartPole-v1")
+    assert "ok" in good.out
+    assert "the same seed gives the same episode" in good.out
+    file = tmp_path / "s.yaml"
+    file.write_text(
+        "name: s\ntask: {name: 'gymnasium:CartPole-v1', settings: {difficulty: {budget: 0.2}}}\n"
+        "search: {strategy: cmfbo, cost: 1000}\ntraining: {budget: {samples: 1000}}\n"
+    )
+    assert "cost in samples: 200 at z = 0" in shell("task", "check", str(file)).out
+
+
+def test_a_task_that_breaks_a_promise_ends_the_check_with_what_to_mend(shell):
+    refused = shell("task", "check", "math:sqrt")
+    assert refused.code == 2
+    assert "do: check it with its study file" in refused.out
+    assert "math:sqrt can't be searched yet; to be mended: spaces" in refused.err
+    refused = shell("task", "check", "gymnasium:Cartpole-v1")
+    assert refused.code == 2
+    assert "did you mean 'CartPole-v1'" in refused.err

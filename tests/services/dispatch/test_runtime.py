@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from services.artifacts import open_artifacts
-from services.dispatch.port import Assignment, Began, Crashed, Ended, Reported, Stopped
+from services.dispatch.port import Assignment, Began, Crashed, Ended, Hindered, Reported, Stopped
 from services.dispatch.runtime import Attempt, WorkerContext, decode_checkpoint, encode_checkpoint
+from services.errors import StorageUnavailable
 from services.store.port import NewArtifact
-from workers.contracts import BadJob, Checkpoint, Cost, Job
+from workers.contracts import BadJob, Checkpoint, Cost, Interrupted, Job
 
 
 @pytest.fixture
@@ -141,3 +142,43 @@ def test_a_parent_that_left_no_such_artifact_is_named(artifacts):
     context = WorkerContext(Assignment(11, 2, "1-s", 3, "{}", parent_artifacts=(left,)), artifacts, lambda _: None)
     with pytest.raises(BadJob, match=r"to have left policy\.safetensors, found log\.txt"):
         context.parent_artifact("policy.safetensors")
+
+
+class Full:
+    """Storage that is full for a while."""
+
+    def __init__(self, artifacts, times):
+        self._artifacts = artifacts
+        self.times = times
+
+    def __getattr__(self, name):
+        def call(*arguments):
+            if self.times:
+                self.times -= 1
+                raise StorageUnavailable("No space left on device")
+            return getattr(self._artifacts, name)(*arguments)
+
+        return call
+
+
+def test_a_full_disk_is_waited_for_and_told_once_it_is_over(artifacts, monkeypatch):
+    monkeypatch.setattr("services.dispatch.runtime.FIRST_PAUSE", 0.001)
+    sent = []
+    context = WorkerContext(assignment("t"), Full(artifacts, 2), sent.append)
+    context.save_artifact("policy", b"weights")
+    assert sent == [
+        Hindered(11, 2, "No space left on device"),
+        Hindered(11, 2, "No space left on device"),
+        Hindered(11, 2, ""),
+    ]
+    (kept,) = context.artifacts()
+    assert artifacts.read(kept) == b"weights"
+
+
+def test_an_attempt_that_waits_for_storage_stops_when_asked_to(artifacts):
+    sent = []
+    context = WorkerContext(assignment("t"), Full(artifacts, 10**9), sent.append)
+    context.request_stop()
+    with pytest.raises(Interrupted, match="No space left"):
+        context.save_checkpoint(Checkpoint(1, {"w": np.zeros(2)}, {}))
+    assert len(sent) == 1
