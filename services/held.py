@@ -113,7 +113,8 @@ class Held:
         row = self.store.study(drive.row.name)
         if row.id != drive.row.id or row.drive_token != drive.token:
             return  # the next look at what people want finds out, and drops it
-        drive.row, drive.asked = row, None
+        # What it was said to wait for may have been undone with the commit that said it.
+        drive.row, drive.asked, drive.remarked = row, None, row.reason
         drive.history = self.store.history(row.id)
         drive.open = {trial.number: trial for trial in self.store.trials(row.id, states=OPEN_TRIAL)}
         drive.next_number = sum(row.counts.values())
