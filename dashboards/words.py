@@ -25,6 +25,10 @@ UNIT_OF_VALUE: Mapping[str, str] = {"bar": "m", "height": "m", "distance": "m"}
 """Units of what a task's value may be, by the name of the result that equals it: a study's spec has none for it."""
 
 
+UNITS: Mapping[str, str] = {**UNIT_OF_VALUE, "facing": "rad", "approach": "m/s", "level": "m"}
+"""Units of the results that tasks name, by their names."""
+
+
 def number(value: Any, digits: int = 4) -> str:
     """A number with so many significant digits; text as it is, nothing as a dash."""
     if value is None:
@@ -96,3 +100,11 @@ def listing(value: Any) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(listing(inner) for inner in value)
     return number(value)
+
+
+def result(value: Any, name: str) -> str:
+    """A named result with its unit, where its name has one."""
+    unit = UNITS.get(name)
+    if unit is None or isinstance(value, bool) or not isinstance(value, int | float):
+        return number(value)
+    return feature(value, unit)

@@ -109,7 +109,7 @@ export class SliceView {
 
   #axes() {
     const axis = (name) => ({ title: this.units[name] ? `${name} (${this.units[name]})` : name, more: this.space[name]?.log ? { type: "log" } : {} });
-    return { x: axis(this.x.value), y: axis(this.y.value), legend: true, margin: { r: 8 } };
+    return { x: axis(this.x.value), y: axis(this.y.value), legend: true, margin: { r: 8, t: 46 } };
   }
 
   #heat(values, scale) {
@@ -195,7 +195,7 @@ export class SliceView {
 
   #deviation() {
     if (!this.#has("deviation")) return { traces: [], empty: "No surrogate yet.", ...this.#axes() };
-    this.#legend("scale-unsure", this.slice.deviation, "± ", "unsure");
+    this.#legend("scale-unsure", this.slice.deviation, "standard deviation", "unsure");
     const traces = this.#samples(false).map((trace) => ({ ...trace, showlegend: false }));
     return { traces: [this.#heat(this.slice.deviation, this.dark() ? UNSURE_DARK : UNSURE), ...traces], ...this.#axes() };
   }
