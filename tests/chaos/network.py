@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,8 +22,8 @@ HEALTH = {"period_ms": 2000, "timeout_ms": 2000, "failure_threshold": 4, "initia
 """How Ray finds out that a host is gone, in 10 s rather than 25."""
 
 STARTING = """
-mount -t tmpfs tmpfs /dev/shm && mount -t tmpfs tmpfs "$1" && mkdir -p /tmp/ray && mount -t tmpfs tmpfs /tmp/ray || exit
-hostname "$2"; shift 2; exec "$@"
+mount -t tmpfs tmpfs /dev/shm && mount -t tmpfs tmpfs "$1" && mount -t tmpfs tmpfs "$2" || exit
+hostname "$3"; shift 3; exec "$@"
 """
 """What a worker's host does first: no memory, no session and no study folder is shared with the others."""
 
@@ -46,6 +47,9 @@ class Network:
         self._folder, self._hidden = Path(folder), Path(hidden)
         self._tag = f"h{secrets.token_hex(2)}"
         self._switch = f"{self._tag}switch"
+        # Of its own: in the usual place, `ray start` leaves word of itself to every Ray program of this machine. And
+        # short: there are sockets in it.
+        self._rays = Path(f"/tmp/{self._tag}")
         self._made, self._next, self._running = [], 1, {}
         self.workers = set()
         health = {f"RAY_health_check_{name}": str(value) for name, value in HEALTH.items()}
@@ -55,6 +59,7 @@ class Network:
         }  # fmt: skip
 
     def __enter__(self):
+        self._rays.mkdir()
         ip("netns", "add", self._switch)
         ip("-n", self._switch, "link", "add", "bridge", "type", "bridge")
         ip("-n", self._switch, "link", "set", "bridge", "up")
@@ -65,6 +70,7 @@ class Network:
             self.kill(host)
         for name in [*self._made, self._switch]:
             subprocess.run(["ip", "netns", "del", name], check=False, capture_output=True)
+        shutil.rmtree(self._rays, ignore_errors=True)
 
     def add(self):
         """A further host, without anything on it. Returns its name."""
@@ -103,13 +109,15 @@ class Network:
 
     def start_head(self, host):
         """Ray's head, with no core of its own for trainings."""
-        self._start(host, ["--head", f"--port={PORT}", "--include-dashboard=false", "--num-cpus=0"])
+        self._start(
+            host, ["--head", f"--port={PORT}", "--include-dashboard=false", "--num-cpus=0", f"--temp-dir={self._rays}"]
+        )
 
     def start_worker(self, host, head):
         """A host that joins, with one core, which sees nothing of the head's files."""
         self.workers.add(host)
         alone = ("unshare", "--uts", "--pid", "--mount", "--fork", "--kill-child", "--mount-proc")
-        first = ("sh", "-c", STARTING, "host", str(self._hidden), host)
+        first = ("sh", "-c", STARTING, "host", str(self._hidden), str(self._rays), host)
         self._start(host, [f"--address={self.address(head)}:{PORT}", "--num-cpus=1"], (*alone, *first))
 
     def _start(self, host, options, first=()):
