@@ -109,6 +109,8 @@ class Network:
 
     def start_head(self, host):
         """Ray's head, with no core of its own for trainings."""
+        # Where the one before it was killed, this says that it still runs.
+        (self._rays / "ray_current_cluster").unlink(missing_ok=True)
         self._start(
             host, ["--head", f"--port={PORT}", "--include-dashboard=false", "--num-cpus=0", f"--temp-dir={self._rays}"]
         )
