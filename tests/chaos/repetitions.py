@@ -52,8 +52,8 @@ class Marks:
             iterations: the trial and iteration of each that began, in order.
         """
         found = {}
-        ends = [begun for _, begun in self._faults[1:]] + [len(iterations)]
-        for (kind, begun), end in zip(self._faults, ends, strict=True):
+        ends = [begun for _, begun in self._faults] + [len(iterations)]
+        for (kind, begun), end in zip(self._faults, ends[1:], strict=True):
             row = found.setdefault(kind, Repeated())
             before, again, new = set(iterations[:begun]), Counter(), Counter()
             for step in iterations[begun:end]:
