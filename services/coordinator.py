@@ -212,6 +212,7 @@ class Coordinator:
                 seed=trial_seed(drive.spec.seed, drive.next_number + place),
                 z=candidate["z"],
                 warm_start=candidate["warm_start"],
+                stage=candidate["stage"],
                 info=candidate["info"],
             )
             for place, candidate in enumerate(answer.candidates)

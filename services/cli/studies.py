@@ -12,13 +12,14 @@ from services.cli.events import event_line
 from services.cli.findings import findings_table
 from services.cli.matters import matters_of, show_matters
 from services.cli.session import AsJson, Db, RayAddress, Session, console, print_json, print_json_line, say, session
-from services.cli.tables import done_of, fields_table, state_text, studies_table, trials_table
+from services.cli.tables import done_of, fields_table, stages_table, state_text, studies_table, trials_table
 from services.cli.words import count, duration, several, state_words, value_of
 from services.driver import this_process
 from services.errors import BadInput, Refused, StudyDriven, WrongState
 from services.lineage import lineage_words
 from services.listings import event_json, study_json, trial_json
 from services.report import behaviour_of, distinct_trials, units_of
+from services.stages import has_stages, stages_of_study
 from services.states import LIVE_STUDY, OBSERVED_TRIAL, StudyState, TrialState
 from services.store.port import StudyRow
 
@@ -58,7 +59,8 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         every = opened.store.trials(row.id)
     matters = matters_of(row, every)
     if as_json:
-        print_json({**study_json(row, spec=True), **matters.to_json()})
+        stages = {"stages": [stage.to_json() for stage in stages_of_study(row, every)]}
+        print_json({**study_json(row, spec=True), **stages, **matters.to_json()})
         return
     placed = [trial for trial in every if trial.position is not None]
     found = distinct_trials(row, sorted(placed, key=lambda trial: trial.position or 0))
@@ -84,6 +86,10 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         "finished": row.finished_at.astimezone().strftime("%Y-%m-%d %H:%M:%S") if row.finished_at else None,
     }
     console().print(fields_table({name: value for name, value in fields.items() if value is not None}))
+    if has_stages(row):
+        say()
+        screen = console()
+        screen.print(stages_table(stages_of_study(row, every), screen.width))
     if found:
         say()
         screen = console()
@@ -211,6 +217,8 @@ def extend(
         print_json(study_json(row))
         return
     budget = [several(row.target_trials, "trial")] if row.target_trials is not None else []
+    if budget and has_stages(row):
+        budget[0] += " of the search"
     budget += [f"{count(row.target_cost)} samples"] if row.target_cost is not None else []
     say(f"{name} now has a budget of {' and '.join(budget)}." + ("" if driven else f" Go on: halma resume {name}"))
 

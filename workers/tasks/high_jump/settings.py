@@ -51,7 +51,9 @@ class HighJumpSettings:
         first_bar: where the curriculum begins, m.
         lowest_bar: a jump over a lower bar counts for nothing: it can be stepped over, and every style can, m.
         bar_step: one step of the curriculum, m.
-        highest_bar: mastered, the training ends, m.
+        highest_bar: the highest that is tried; mastered, the training ends, m.
+        z_freeze: mastered, the training ends already, m; None: at the highest bar. A search need not know how high a
+            strategy can get, a polish finds out.
         control_rate: actions a second, a divisor of 120.
         mat_height: thickness of the mat, m.
         actions: `offset` from the push-off pose, or `pose`: a latent vector of a pose model, and an offset.
@@ -73,6 +75,7 @@ class HighJumpSettings:
     lowest_bar: float = setting(0.4, Rule("float", 0.0, 2.5))
     bar_step: float = setting(0.02, Rule("float", 0.001, 0.5))
     highest_bar: float = setting(2.5, Rule("float", 0.1, 2.9))
+    z_freeze: float | None = setting(None, Rule("float", 0.1, 2.9, optional=True))
     control_rate: int = setting(10, Rule("int", 1, 120))
     mat_height: float = setting(0.3, Rule("float", 0.05, 1.0))
     actions: Actions = dataclasses.field(default="offset", metadata={"rule": Rule("str", choices=("offset", "pose"))})
@@ -100,6 +103,13 @@ class HighJumpSettings:
                     "highest_bar",
                     f"expected at least {name}, which is {least:g}, found {parsed.highest_bar:g}",
                 )
+        if parsed.z_freeze is not None and not parsed.first_bar <= parsed.z_freeze <= parsed.highest_bar:
+            raise BadSetting(
+                SECTION,
+                "z_freeze",
+                f"expected a bar from first_bar, {parsed.first_bar:g}, to highest_bar, {parsed.highest_bar:g}, "
+                f"found {parsed.z_freeze:g}",
+            )
         if parsed.poses is not None and parsed.actions != "pose":
             raise BadSetting(SECTION, "poses", "expected none with actions: offset, found one; write actions: pose")
         try:
@@ -107,6 +117,11 @@ class HighJumpSettings:
         except BadJob as error:
             raise BadSetting(SECTION, "poses", str(error)) from None
         return parsed
+
+    @property
+    def last_bar(self) -> float:
+        """Where the curriculum ends, m."""
+        return self.highest_bar if self.z_freeze is None else self.z_freeze
 
     def pose_model(self) -> PoseModel | None:
         """The model to act through, or None. Raises `BadJob` where its file is none."""
