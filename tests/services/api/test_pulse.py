@@ -41,13 +41,13 @@ def test_a_long_course_keeps_its_ends():
 def test_rate_and_time_left_by_hand():
     """Four trials of 100 samples in 40 s: 10 samples/s; six are missing, at 10 s each."""
     history = [trial(started=10 * i, finished=10 * i + 10) for i in range(4)]
-    study = SimpleNamespace(state=StudyState.RUNNING, target_trials=10, target_cost=None, samples=400)
+    study = SimpleNamespace(state=StudyState.RUNNING, target_trials=10, target_cost=None, samples=400, spec={})
     assert pace(study, history, now=40.0) == pytest.approx((10.0, 60.0))
 
 
 def test_the_nearer_end_counts_and_a_study_that_waits_has_none():
     history = [trial(started=10 * i, finished=10 * i + 10) for i in range(4)]
-    study = SimpleNamespace(state=StudyState.RUNNING, target_trials=10, target_cost=500, samples=400)
+    study = SimpleNamespace(state=StudyState.RUNNING, target_trials=10, target_cost=500, samples=400, spec={})
     assert pace(study, history, now=40.0) == pytest.approx((10.0, 10.0))
     study.state = StudyState.PAUSED
     assert pace(study, history, now=40.0) == (None, None)
