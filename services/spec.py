@@ -265,6 +265,10 @@ class StudySpec(Section):
         default=5, gt=0, description="stop the study when so many trials in a row failed"
     )
 
+    keep_checkpoints: StrictBool = Field(
+        default=False, description="keep the checkpoints of trials that have ended; by default they are removed"
+    )
+
     @field_validator("training")
     @classmethod
     def _training(cls, training: dict[str, Any]) -> dict[str, Any]:

@@ -7,11 +7,23 @@ from typing import Annotated
 
 import typer
 
+from services.artifact_root import settle
 from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
 from services.cli.findings import findings_table
 from services.cli.matters import matters_of, show_matters
-from services.cli.session import AsJson, Db, RayAddress, Session, console, print_json, print_json_line, say, session
+from services.cli.session import (
+    Artifacts,
+    AsJson,
+    Db,
+    RayAddress,
+    Session,
+    console,
+    print_json,
+    print_json_line,
+    say,
+    session,
+)
 from services.cli.tables import done_of, fields_table, stages_table, state_text, studies_table, trials_table
 from services.cli.words import count, duration, several, state_words, value_of
 from services.driver import this_process
@@ -231,9 +243,10 @@ def resume(
     ] = False,
     ray: RayAddress = None,
     db: Db = None,
+    artifacts: Artifacts = None,
 ) -> None:
     """Go on with a study that was paused, interrupted, cancelled or extended."""
-    with session(db) as opened:
+    with session(db, artifacts) as opened:
         row = opened.store.study(name)
         if row.state is StudyState.COMPLETE:
             done = sum(row.counts.get(state.value, 0) for state in OBSERVED_TRIAL)
@@ -241,4 +254,5 @@ def resume(
                 f"resume: expected a study with budget left, found {name} complete after {several(done, 'trial')}; "
                 f"look at it with `halma show {name}`, or give it more with `halma extend {name} --trials 10`"
             )
+        settle(opened.store, opened.artifacts)
         drive_here(opened, name, inline=inline, take_over=take_over, ray_address=ray)

@@ -18,7 +18,7 @@ def every_profile():
             yield pytest.param(file, profile, id=f"{file.stem}-{profile}")
 
 
-@pytest.mark.parametrize(("file", "profile"), every_profile())
+@pytest.mark.parametrize(("file", "profile"), list(every_profile()))
 def test_a_study_file_is_good_in_each_profile(file, profile):
     spec = load_study(file, [] if profile is None else [f"profile={profile}"])
     assert spec.space
