@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
+from services.value import UNIT_OF_VALUE
+
 GLYPHS: Mapping[str, str] = {
     "queued": "○",
     "running": "◐",
@@ -20,9 +22,6 @@ GLYPHS: Mapping[str, str] = {
     "preempted": "‖",
 }
 """One shape for each state, so that colour is never the only sign."""
-
-UNIT_OF_VALUE: Mapping[str, str] = {"bar": "m", "height": "m", "distance": "m"}
-"""Units of what a task's value may be, by the name of the result that equals it: a study's spec has none for it."""
 
 
 UNITS: Mapping[str, str] = {**UNIT_OF_VALUE, "facing": "rad", "approach": "m/s", "level": "m"}

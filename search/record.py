@@ -17,6 +17,9 @@ from search.space import Array, Scalar, Space
 
 Status = Literal["complete", "infeasible", "diverged", "failed"]
 
+SEARCH = "search"
+"""The stage of a study that has no others, and the first one of a study that has."""
+
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
@@ -26,13 +29,16 @@ class Candidate:
         params: in natural units, by name.
         z: difficulty in [0, 1] (1 is the real task), or None where the search has no fidelity.
         warm_start: index in the history of the observation whose policy to start from, or None.
-        info: why it was proposed, as JSON: `mode`, acquisition values, `warnings`. Nothing depends on it.
+        info: why it was proposed, as JSON: `mode`, acquisition values, `warnings`. No proposal depends on it; trainings
+            for novelty do, on `avoid` and `threshold`.
+        stage: the stage of the study that proposed it (`search.stages`).
     """
 
     params: Mapping[str, Scalar]
     z: float | None = None
     warm_start: int | None = None
     info: Mapping[str, Any] = field(default_factory=dict)
+    stage: str = SEARCH
 
 
 @dataclass(frozen=True, slots=True)

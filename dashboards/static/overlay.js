@@ -3,6 +3,7 @@ import { Chart, KINDS, counted, series } from "./chart.js";
 import { api } from "./live.js";
 import { metricRange, metricTitle } from "./metricwords.js";
 import { element, setText } from "./plain.js";
+import { answers } from "./trials.js";
 
 const MOST = 12;
 const DASHES = ["solid", "dash", "dot"];
@@ -36,7 +37,7 @@ export class Overlay {
     const named = [...new Set((this.input.value.match(/\d+/g) ?? []).map(Number))].filter((number) => this.trials.rows.has(number));
     if (named.length) return named.slice(0, MOST);
     const all = this.trials.all();
-    const best = all.filter((trial) => trial.value !== null && trial.iteration > 0).sort((a, b) => b.value - a.value).slice(0, 6);
+    const best = all.filter((trial) => answers(trial) && trial.iteration > 0).sort((a, b) => b.value - a.value).slice(0, 6);
     return [...best, ...all.filter((trial) => trial.state === "running" && trial.iteration > 0).slice(0, 4)].map((trial) => trial.number);
   }
 

@@ -6,6 +6,7 @@ import { STATES, number } from "./format.js";
 import { api } from "./live.js";
 import { element, setText } from "./plain.js";
 import { Sliders } from "./sliders.js";
+import { answers } from "./trials.js";
 import { thinned } from "./valuechart.js";
 
 // Cividis, which reads the same with every kind of colour vision; and one hue for what isn't known.
@@ -53,7 +54,7 @@ export class SliceView {
   }
 
   #best() {
-    return this.trials.history().filter((trial) => trial.state === "complete" && trial.value !== null)
+    return this.trials.history().filter(answers)
       .reduce((best, trial) => (best === null || trial.value > best.value ? trial : best), null);
   }
 
