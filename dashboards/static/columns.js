@@ -7,7 +7,7 @@ const words = (text) => text.replaceAll("_", " ");
 const link = (address, text) => element("a", { href: address, textContent: text });
 
 // `rare` columns are shown when somebody chooses them.
-export function columnsOf({ base, behaviour, units, space, value, hasDifficulty }, { parameters = [], details = [], troubled = false } = {}) {
+export function columnsOf({ base, behaviour, units, space, value, hasDifficulty, staged = false }, { parameters = [], details = [], troubled = false } = {}) {
   const title = value.title[0].toUpperCase() + value.title.slice(1);
   const unitOf = (name) => (units[name] ? ` (${units[name]})` : "");
   const columns = [
@@ -42,7 +42,7 @@ export function columnsOf({ base, behaviour, units, space, value, hasDifficulty 
     { key: "retries", head: "Lost or failed attempts", num: true, rare: true, text: (t) => String(t.retries) },
     { key: "iteration", head: "Iteration", num: true, rare: true, text: (t) => number(t.iteration) },
     { key: "position", head: "Finished as", num: true, rare: true, text: (t) => number(t.position) },
-    { key: "stage", head: "Stage", rare: true, text: (t) => t.stage },
+    { key: "stage", head: "Stage", rare: !staged, text: (t) => t.stage },
     { key: "created_at", head: "Proposed", rare: true, text: (t) => moment(t.created_at) },
     { key: "started_at", head: "Started", rare: true, text: (t) => (t.started_at ? moment(t.started_at) : "–") },
     { key: "finished_at", head: "Finished", rare: true, text: (t) => (t.finished_at ? moment(t.finished_at) : "–") },

@@ -58,7 +58,7 @@ function countDistinct(wait = 0) {
   }, wait);
 }
 
-const context = { base, study: study.name, trials, behaviour, units, space: study.spec.space ?? {}, task: study.task, value: page.value, hasDifficulty: Boolean(study.spec.has_difficulty) };
+const context = { base, study: study.name, trials, behaviour, units, space: study.spec.space ?? {}, task: study.task, value: page.value, hasDifficulty: Boolean(study.spec.has_difficulty), staged: Boolean(Object.keys(study.spec.stages ?? {}).length) };
 const panelOf = (id) => document.getElementById(id).closest(".panel");
 
 // The best value against what it cost, with buttons for what the cost is counted in.

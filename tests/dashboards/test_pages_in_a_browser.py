@@ -475,3 +475,15 @@ class TestPictures:
         assert download.value.suggested_filename == f"{name}.png"
         assert download.value.path().read_bytes()[:4] == b"\x89PNG"
         browser.assert_calm()
+
+
+class TestDifficulty:
+    def test_a_value_of_an_easier_version_is_not_the_best_of_the_task(self, browser, record):
+        record.one(value=0.9, z=0.2)
+        record.one(value=0.4)
+        record.one(value=0.5)
+        page = ready(browser, "/studies/jump")
+        expect(page.locator("#fact-best")).to_have_text("0.5")
+        expect(page.locator("#value-chart .points path")).to_have_count(3)
+        line = "document.querySelector('#value-chart').data.find((trace) => trace.name === 'best so far').y"
+        until(lambda: page.evaluate(line) == [0.4, 0.5, 0.5])
