@@ -20,6 +20,9 @@ Status = Literal["complete", "infeasible", "diverged", "failed"]
 LARGEST = 1e100
 """Values further from 0 are learnt from as if they were this far: their squares have to be numbers."""
 
+SEARCH = "search"
+"""The stage of a study that has no others, and the first one of a study that has."""
+
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
@@ -29,13 +32,16 @@ class Candidate:
         params: in natural units, by name.
         z: difficulty in [0, 1] (1 is the real task), or None where the search has no fidelity.
         warm_start: index in the history of the observation whose policy to start from, or None.
-        info: why it was proposed, as JSON: `mode`, acquisition values, `warnings`. Nothing depends on it.
+        info: why it was proposed, as JSON: `mode`, acquisition values, `warnings`. No proposal depends on it; trainings
+            for novelty do, on `avoid` and `threshold`.
+        stage: the stage of the study that proposed it (`search.stages`).
     """
 
     params: Mapping[str, Scalar]
     z: float | None = None
     warm_start: int | None = None
     info: Mapping[str, Any] = field(default_factory=dict)
+    stage: str = SEARCH
 
 
 def with_warnings(candidates: Sequence[Candidate], told: Sequence[str]) -> list[Candidate]:

@@ -71,7 +71,7 @@ class Coordinator:
         self._leave: Leaving | None = None
         self._control_due = self._beat_due = self._adopt_due = 0.0
         self._held = Held(store, sleep, impatient=lambda: self._leave is not None)
-        self._arrivals = Arrivals(self._held, clock)
+        self._arrivals = Arrivals(self._held, clock, dispatcher.drop_checkpoints)
         self._watch = DriverWatch(store, clock, sleep)
 
     # -- taking and leaving studies --------------------------------------------------------------------------------
@@ -212,6 +212,7 @@ class Coordinator:
                 seed=trial_seed(drive.spec.seed, drive.next_number + place),
                 z=candidate["z"],
                 warm_start=candidate["warm_start"],
+                stage=candidate["stage"],
                 info=candidate["info"],
             )
             for place, candidate in enumerate(answer.candidates)
@@ -411,10 +412,12 @@ class Coordinator:
                 for trial in drive.open.values():
                     change.cancel_trial(trial.id, drive.token, leaving.reason)
             change.release_drive(drive.row.id, drive.token, leaving.state, leaving.reason)
-            return [lambda: self._released(drive)]
+            return [lambda: self._released(drive, cancelled=list(drive.open) if leaving.cancels else [])]
 
         self._guarded(drive, write)
 
-    def _released(self, drive: Drive) -> None:
+    def _released(self, drive: Drive, cancelled: Sequence[int]) -> None:
+        for number in cancelled:
+            self._arrivals.sweep(drive, number)
         self._held.release(drive)
         self._strategist.close(drive.row.id)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from services.artifacts import study_key
+from services.artifact_names import study_key
 from services.dispatch.port import Assignment
 from services.proposing import ProposalRequest, candidate_json, observation_json, proposal_key
 from services.spec import StudySpec
@@ -101,7 +101,8 @@ class Drive:
         """How many more trials the budget allows now; infinite under a cost budget that is not spent."""
         if self.row.target_cost is not None and sum(trial.samples for trial in self.history) >= self.row.target_cost:
             return 0
-        if self.row.target_trials is None:
+        # With stages the target is that of the search alone; the strategy knows when all of them are over.
+        if self.row.target_trials is None or self.spec.stages:
             return math.inf
         return max(0, self.row.target_trials - len(self.history) - len(self.open))
 
@@ -141,6 +142,7 @@ class Drive:
             count=count,
             rng_key=proposal_key(self.spec.seed, self.next_number),
             target_cost=self.row.target_cost,
+            target_trials=self.row.target_trials,
         )
 
     def assignment(self, trial: TrialRow, live: Live, parent_artifacts: tuple[NewArtifact, ...]) -> Assignment:

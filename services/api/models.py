@@ -11,6 +11,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from services.stages import most_trials
 from services.states import AttemptState, StudyState, TrialState
 from services.store.port import ArtifactRow, AttemptRow, EventRow, MetricRow, ProposalRow, StudyRow, TrialRow
 
@@ -47,7 +48,7 @@ class StudySummary(Model):
     strategy: str
     pool: str
     priority: int
-    target_trials: int | None
+    target_trials: int | None = Field(description="at most so many trials, those of later stages among them")
     target_cost: float | None
     trials: dict[str, int] = Field(description="number of trials in each state")
     cost: Cost
@@ -69,7 +70,7 @@ class StudySummary(Model):
             strategy=strategy_name(row.spec),
             pool=row.pool,
             priority=row.priority,
-            target_trials=row.target_trials,
+            target_trials=most_trials(row),
             target_cost=row.target_cost,
             trials=dict(row.counts),
             cost=Cost(samples=row.samples, seconds=row.seconds),

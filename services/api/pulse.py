@@ -14,6 +14,7 @@ from pydantic import Field
 from services.api.models import Model
 from services.api.service import Uses
 from services.errors import UnknownStudy
+from services.stages import most_trials
 from services.states import StudyState, TrialState
 from services.store.port import StudyRow, TrialRow
 
@@ -118,8 +119,8 @@ def pace(row: StudyRow, history: Sequence[TrialRow], now: float) -> tuple[float 
     span = max(now - began, 1e-3)
     samples = sum(trial.samples for trial in recent)
     left = []
-    if row.target_trials:
-        left.append(max(row.target_trials - len(history), 0) * span / len(recent))
+    if most := most_trials(row):
+        left.append(max(most - len(history), 0) * span / len(recent))
     if row.target_cost and samples:
         left.append(max(row.target_cost - row.samples, 0.0) * span / samples)
     return samples / span, min(left, default=None)

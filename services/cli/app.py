@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from services.cli import about, checking, keeping, poses, starting, studies
+from services.cli import about, checking, files, keeping, poses, starting, studies
 
 EPILOG = (
     "Places: HALMA_HOME (default ~/.halma), HALMA_DB, HALMA_ARTIFACTS. "
@@ -51,6 +51,8 @@ for group, commands in (
 ):
     for command in commands:
         app.command(rich_help_panel=group)(command)
+app.command("gc", rich_help_panel="Keep")(files.gc)
+app.command("verify", rich_help_panel="Keep")(files.verify_files)
 app.add_typer(poses.app, name="poses", rich_help_panel="Know")
 app.add_typer(checking.task, name="task", rich_help_panel="Know")
 app.add_typer(about.database, name="db", rich_help_panel="Know")

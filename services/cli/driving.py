@@ -10,6 +10,7 @@ from services.cli.progress import shown_progress
 from services.cli.session import Session, say
 from services.driver import lives
 from services.errors import HalmaError, InterruptedByUser, StudyDriven
+from services.stages import stage_names
 from services.states import StudyState
 from services.store.port import StudyRow
 
@@ -84,7 +85,8 @@ def _pools(row: StudyRow, cores: int | None) -> dict[str, int] | None:
 def _announce(row: StudyRow) -> None:
     budget = []
     if row.target_trials is not None:
-        budget.append(f"{row.target_trials} trials")
+        later = "".join(f", then {name}" for name in stage_names(row))
+        budget.append(f"{row.target_trials} trials{later}")
     if row.target_cost is not None:
         budget.append(f"{row.target_cost:,.0f} samples")
     task, strategy = row.spec["task"]["name"], row.spec["search"]["strategy"]

@@ -81,6 +81,7 @@ _SENTENCES: Mapping[str, Callable[[Payload], str | None]] = {
     "failed": _ended("failed"),
     "preempted": _ended("stopped at a checkpoint"),
     "finished": _finished,
+    "artifacts_placed": lambda payload: f"artifacts are at {payload.get('url')}",
     "warning": _noted("warning"),
     "refused": _noted("refused"),
 }

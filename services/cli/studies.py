@@ -7,18 +7,31 @@ from typing import Annotated
 
 import typer
 
+from services.artifact_root import settle
 from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
 from services.cli.findings import findings_table
 from services.cli.matters import matters_of, show_matters
-from services.cli.session import AsJson, Db, RayAddress, Session, console, print_json, print_json_line, say, session
-from services.cli.tables import done_of, fields_table, state_text, studies_table, trials_table
+from services.cli.session import (
+    Artifacts,
+    AsJson,
+    Db,
+    RayAddress,
+    Session,
+    console,
+    print_json,
+    print_json_line,
+    say,
+    session,
+)
+from services.cli.tables import done_of, fields_table, stages_table, state_text, studies_table, trials_table
 from services.cli.words import count, duration, several, state_words, value_of
 from services.driver import this_process
 from services.errors import BadInput, Refused, StudyDriven, WrongState
 from services.lineage import lineage_words
 from services.listings import event_json, study_json, trial_json
 from services.report import behaviour_of, distinct_trials, units_of
+from services.stages import has_stages, stages_of_study
 from services.states import LIVE_STUDY, OBSERVED_TRIAL, StudyState, TrialState
 from services.store.port import StudyRow
 
@@ -58,7 +71,8 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         every = opened.store.trials(row.id)
     matters = matters_of(row, every)
     if as_json:
-        print_json({**study_json(row, spec=True), **matters.to_json()})
+        stages = {"stages": [stage.to_json() for stage in stages_of_study(row, every)]}
+        print_json({**study_json(row, spec=True), **stages, **matters.to_json()})
         return
     placed = [trial for trial in every if trial.position is not None]
     found = distinct_trials(row, sorted(placed, key=lambda trial: trial.position or 0))
@@ -84,6 +98,10 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         "finished": row.finished_at.astimezone().strftime("%Y-%m-%d %H:%M:%S") if row.finished_at else None,
     }
     console().print(fields_table({name: value for name, value in fields.items() if value is not None}))
+    if has_stages(row):
+        say()
+        screen = console()
+        screen.print(stages_table(stages_of_study(row, every), screen.width))
     if found:
         say()
         screen = console()
@@ -211,6 +229,8 @@ def extend(
         print_json(study_json(row))
         return
     budget = [several(row.target_trials, "trial")] if row.target_trials is not None else []
+    if budget and has_stages(row):
+        budget[0] += " of the search"
     budget += [f"{count(row.target_cost)} samples"] if row.target_cost is not None else []
     say(f"{name} now has a budget of {' and '.join(budget)}." + ("" if driven else f" Go on: halma resume {name}"))
 
@@ -223,9 +243,10 @@ def resume(
     ] = False,
     ray: RayAddress = None,
     db: Db = None,
+    artifacts: Artifacts = None,
 ) -> None:
     """Go on with a study that was paused, interrupted, cancelled or extended."""
-    with session(db) as opened:
+    with session(db, artifacts) as opened:
         row = opened.store.study(name)
         if row.state is StudyState.COMPLETE:
             done = sum(row.counts.get(state.value, 0) for state in OBSERVED_TRIAL)
@@ -233,4 +254,5 @@ def resume(
                 f"resume: expected a study with budget left, found {name} complete after {several(done, 'trial')}; "
                 f"look at it with `halma show {name}`, or give it more with `halma extend {name} --trials 10`"
             )
+        settle(opened.store, opened.artifacts)
         drive_here(opened, name, inline=inline, take_over=take_over, ray_address=ray)

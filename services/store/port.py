@@ -151,6 +151,14 @@ class NewArtifact:
 
 
 @dataclass(frozen=True, slots=True)
+class ArtifactRoot:
+    """Where the artifacts of a database are: what its root is known by, and where it was last seen."""
+
+    identity: str
+    url: str
+
+
+@dataclass(frozen=True, slots=True)
 class Result:
     """The outcome of an attempt, in the store's words."""
 
@@ -306,6 +314,12 @@ class Change(Protocol):
     def cancel_trial(self, trial_id: int, drive_token: int, reason: str) -> TrialRow:
         """An open trial becomes `cancelled`, a running attempt with it. It gets no position."""
 
+    def place_artifacts(self, root: ArtifactRoot, *, instead_of: str = "") -> ArtifactRoot:
+        """Note where the artifacts are, where nothing is known yet or what is known has the identity `instead_of`.
+
+        Returns what is known then: of two that note it at once, the second learns what the first one noted.
+        """
+
     def note(self, kind: str, *, study_id: int | None = None, trial: int | None = None, **payload: JSON) -> None:
         """Append an event of another kind, e.g. `refused`, `warning`."""
 
@@ -357,6 +371,12 @@ class Store(Protocol):
 
     def artifacts(self, trial_id: int) -> list[ArtifactRow]:
         """What a trial left, by name."""
+
+    def study_artifacts(self, study_id: int) -> list[ArtifactRow]:
+        """What all trials of a study left, by trial and name."""
+
+    def artifact_root(self) -> ArtifactRoot | None:
+        """Where the artifacts are; None where no driver has noted it yet."""
 
     def proposals(self, study_id: int) -> list[ProposalRow]:
         """What each proposal saw, in order."""

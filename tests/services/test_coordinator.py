@@ -38,6 +38,7 @@ class Scripted:
     stopped: list[int] = field(default_factory=list)
     killed: list[int] = field(default_factory=list)
     over: set[int] = field(default_factory=set)
+    dropped: list[tuple[str, int]] = field(default_factory=list)
 
     def pools(self):
         return {"default": self.size}
@@ -65,6 +66,9 @@ class Scripted:
         if messages:
             deliver(messages)
             self.over |= {m.attempt for m in messages if isinstance(m, Ended | Stopped | Crashed | Vanished)}
+
+    def drop_checkpoints(self, study_key, trial):
+        self.dropped.append((study_key, trial))
 
     def close(self):
         pass
@@ -173,6 +177,41 @@ def test_a_study_ends_when_its_trials_have(world):
     assert [trial.position for trial in world.trials()] == [0, 1, 2]
     assert (row.samples, row.seconds) == (30, 3.0)
     assert world.coordinator.driven() == []
+
+
+def test_checkpoints_are_dropped_once_the_end_of_their_trial_is_on_record(world):
+    world.steps()
+    first, second = world.dispatcher.given
+    drop = world.dispatcher.drop_checkpoints
+    seen = []
+
+    def watched(study_key, trial):
+        seen.append(world.store.trial(world.row.id, trial).state)
+        drop(study_key, trial)
+
+    object.__setattr__(world.coordinator._arrivals, "drop_checkpoints", watched)
+    world.dispatcher.inbox.append(Stopped(second.attempt, second.token))
+    world.dispatcher.end(first)
+    world.steps(1)
+    assert world.dispatcher.dropped == [(f"{world.row.id}-s", 0)], "the one that stopped goes on from its own"
+    assert seen == [TrialState.COMPLETE]
+    with world.store.transaction() as change:
+        change.ask("s", "cancel")
+    world.steps(1)
+    running = [given for given in world.dispatcher.given if given.attempt not in world.dispatcher.over]
+    world.dispatcher.inbox += [Stopped(given.attempt, given.token) for given in running]
+    world.steps(2)
+    assert sorted(trial for _, trial in world.dispatcher.dropped) == [0, 1, 2]
+    assert seen[1:] == [TrialState.CANCELLED] * 2
+
+
+@pytest.mark.parametrize("world", [["keep_checkpoints=true"]], indirect=True, ids=["kept"])
+def test_a_study_may_keep_its_checkpoints(world):
+    world.steps()
+    world.dispatcher.end(world.dispatcher.given[0])
+    world.steps(1)
+    assert world.states()[0] == "complete"
+    assert world.dispatcher.dropped == []
 
 
 def test_a_proposal_logs_what_it_saw(world):
