@@ -13,21 +13,19 @@ from fastapi import APIRouter, Path, Request
 from fastapi.responses import RedirectResponse, Response
 from sqlalchemy.engine import make_url
 
-from dashboards import words
 from dashboards.rendering import page, static_root
 from services.api.models import StudyOut, StudySummary
 from services.api.routes import LARGEST_ID
 from services.api.service import Service, Uses
 from services.states import TrialState
 from services.store.port import StudyRow, TrialRow
+from services.value import TELLING, value_words
 
 router = APIRouter(include_in_schema=False)
 
 Study = Annotated[str, Path(max_length=255)]
 Number = Annotated[int, Path(ge=0, le=LARGEST_ID)]
 MOST_RELATIVES = 50
-TELLING = 20
-"""How many trials are looked at to see what their value is called."""
 
 
 def position(service: Service) -> dict[str, Any]:
@@ -106,12 +104,8 @@ def value_of(service: Service, row: StudyRow) -> dict[str, str]:
 
     A spec doesn't say; a named result that equals the value in the trials that finished first does.
     """
-    first = service.store.trials(row.id, states=[TrialState.COMPLETE], limit=TELLING)
-    complete = [trial for trial in first if trial.value is not None]
-    told = (name for name in words.UNIT_OF_VALUE if complete and all(t.details.get(name) == t.value for t in complete))
-    name = next(told, "value")
-    unit = words.UNIT_OF_VALUE.get(name, "")
-    return {"name": name, "unit": unit, "title": f"{name} ({unit})" if unit else name}
+    told = value_words(service.store.trials(row.id, states=[TrialState.COMPLETE], limit=TELLING))
+    return {"name": told.name, "unit": told.unit, "title": told.title}
 
 
 @router.get("/studies/{study}")

@@ -21,9 +21,6 @@ GLYPHS: Mapping[str, str] = {
 }
 """One shape for each state, so that colour is never the only sign."""
 
-UNIT_OF_VALUE: Mapping[str, str] = {"bar": "m", "height": "m", "distance": "m"}
-"""Units of what a task's value may be, by the name of the result that equals it: a study's spec has none for it."""
-
 
 def number(value: Any, digits: int = 4) -> str:
     """A number with so many significant digits; text as it is, nothing as a dash."""
