@@ -83,6 +83,7 @@ export class Stage {
     Object.assign(sun.shadow.camera, { left: -4, right: 4, top: 4, bottom: -4, near: 0.5, far: 16 });
     sun.shadow.bias = -0.0006;
     this.scene.add(sun, sun.target);
+    this.sun = sun;
   }
 
   #solid(shape, colour) {
@@ -104,6 +105,12 @@ export class Stage {
     floor.castShadow = false;
     floor.position.y = -0.021;
     this.scene.add(floor);
+    if (!(mat > 0)) {
+      // No jump: a track without end, with a line across every metre to see the speed by.
+      this.#box([40, 0.02, 3], [10, -0.01, 0], 0xcc6b54).castShadow = false;
+      for (let x = -9; x < 30; x++) this.#box([0.03, 0.004, 3], [x, 0, 0], 0xe6e6e6).castShadow = false;
+      return;
+    }
     this.#box([6.2, 0.02, 12], [-3, -0.01, 0], 0xcc6b54).castShadow = false;
     this.#box([4, mat, 6], [2.05, mat / 2, 0], 0x5c9985);
     if (!(bar > 0)) return;
@@ -157,6 +164,10 @@ export class Stage {
     const { arrays, frames, bodies, step } = this.replay;
     const before = this.com(this.time);
     this.time = time;
+    const along = Math.max(0, this.com(time).x);
+    // Shadows are sharp only near where the light looks: it goes with those who leave the bar behind.
+    this.sun.position.x = along - 3;
+    this.sun.target.position.x = along;
     const at = Math.max(0, Math.min(time / step, frames - 1));
     const [i, k] = [Math.floor(at), Math.min(Math.floor(at) + 1, frames - 1)];
     const share = at - i;
