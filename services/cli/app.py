@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from services.cli import about, checking, files, keeping, poses, starting, studies
+from services.cli import about, checking, files, keeping, plotting, poses, starting, studies
 
 EPILOG = (
     "Places: HALMA_HOME (default ~/.halma), HALMA_DB, HALMA_ARTIFACTS. "
@@ -45,7 +45,19 @@ def halma(
 
 for group, commands in (
     ("Start", (starting.run, starting.serve, starting.submit)),
-    ("Look", (studies.ls, studies.show, studies.trials, studies.watch, keeping.replay, keeping.audit, keeping.export)),
+    (
+        "Look",
+        (
+            studies.ls,
+            studies.show,
+            studies.trials,
+            studies.watch,
+            keeping.replay,
+            keeping.audit,
+            plotting.plot,
+            keeping.export,
+        ),
+    ),
     ("Steer", (studies.pause, studies.resume, studies.cancel, studies.extend)),
     ("Know", (about.tasks, about.strategies, about.schema, about.doctor)),
 ):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.novelty import Novelty
-from workers.physics.athlete import COORDINATES
+from workers.physics.athlete import COORDINATES, JOINTS, Joint
 from workers.physics.world import FRAME, GRAVITY, Contacts, World
 from workers.poses.model import PoseModel
 from workers.replay import Recorder
@@ -43,6 +44,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         poses: a pose model to act through.
         gravity: m/s^2.
         landing: on which part the athlete may land, `any` or `feet`.
+        joints: of the athlete.
         novelty: what the jump is to be unlike. Its reward is then multiplied by how new it is, and only one that would
             count as another strategy succeeds, so that the bar rises with new jumps alone.
     """
@@ -59,11 +61,12 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         poses: PoseModel | None = None,
         gravity: float = GRAVITY,
         landing: rules.Landing = "any",
+        joints: Sequence[Joint] = JOINTS,
         novelty: Novelty | None = None,
     ) -> None:
         self.state = state
         self.recorder = recorder
-        self.world = World(mat_height, measure_torque=recorder is not None, gravity=gravity)
+        self.world = World(mat_height, measure_torque=recorder is not None, gravity=gravity, joints=joints)
         self._novelty = novelty
         self._unused = True
         self._frames = round(1 / (control_rate * FRAME))

@@ -19,12 +19,14 @@ from workers.learning.settings import (
     refuse_unknown,
     setting,
 )
+from workers.physics.athlete import Joint
 from workers.physics.world import GRAVITY
 from workers.poses.model import PoseModel
 from workers.tasks.high_jump import takeoff
 from workers.tasks.high_jump.behaviour import FeatureName
 from workers.tasks.high_jump.rules import Landing
 from workers.tasks.high_jump.takeoff import Formulation, TakeOff
+from workers.tasks.high_jump.variations import Cast, Spine, varied_joints
 
 SECTION = "task.settings"
 Actions = Literal["offset", "pose"]
@@ -59,6 +61,9 @@ class HighJumpSettings:
         actions: `offset` from the push-off pose, or `pose`: a latent vector of a pose model, and an offset.
         gravity: m/s^2; 3.711 on Mars.
         landing: on which part the athlete may land, `any` or `feet`.
+        take_off_leg: torque of the take-off leg's hip, knee and ankle over the usual one.
+        spine: `free`, or `stiff`: it doesn't bend back.
+        cast: which leg's knee is in a cast that keeps it all but straight: `none`, `take_off` or `swing`.
         poses: file of the pose model, of `halma poses train`; None: the model of the packaged clips.
     """
 
@@ -81,6 +86,11 @@ class HighJumpSettings:
     actions: Actions = dataclasses.field(default="offset", metadata={"rule": Rule("str", choices=("offset", "pose"))})
     gravity: float = setting(GRAVITY, Rule("float", 0.5, 30.0))
     landing: Landing = dataclasses.field(default="any", metadata={"rule": Rule("str", choices=("any", "feet"))})
+    take_off_leg: float = setting(1.0, Rule("float", 0.1, 2.0))
+    spine: Spine = dataclasses.field(default="free", metadata={"rule": Rule("str", choices=("free", "stiff"))})
+    cast: Cast = dataclasses.field(
+        default="none", metadata={"rule": Rule("str", choices=("none", "take_off", "swing"))}
+    )
     poses: str | None = setting(None, Rule("path", optional=True))
 
     @classmethod
@@ -117,6 +127,10 @@ class HighJumpSettings:
         except BadJob as error:
             raise BadSetting(SECTION, "poses", str(error)) from None
         return parsed
+
+    def joints(self) -> tuple[Joint, ...]:
+        """The athlete's joints under the variations asked for."""
+        return varied_joints(self.take_off_leg, self.spine, self.cast)
 
     @property
     def last_bar(self) -> float:

@@ -65,6 +65,7 @@ class HighJumpProblem:
             poses=s.pose_model(),
             gravity=s.gravity,
             landing=s.landing,
+            joints=s.joints(),
             novelty=novelty,
         )
 
