@@ -24,8 +24,8 @@ run: $(STAMP)  ## the main job: search for different ways to jump over a bar, th
 test: $(STAMP)  ## all tests
 	$(BIN)/pytest
 
-chaos: $(STAMP)  ## break studies for an hour, and print what came of it (options in CHAOS=...; needs root)
-	PYTHONPATH=tests:. $(BIN)/python tests/chaos/campaign.py $(CHAOS)
+chaos: $(STAMP)  ## break studies more than 500 times, and print what came of it (options in CHAOS=...; needs root)
+	PYTHONPATH=tests:. $(BIN)/python tests/chaos/campaign.py $(or $(CHAOS),run)
 
 check: $(STAMP)  ## lint, format, types, import contracts
 	$(BIN)/ruff check .

@@ -21,10 +21,12 @@ class Arrivals:
     Args:
         held: the driven studies.
         clock: monotonic seconds.
+        drop_checkpoints: called with the study's folder and the number of a trial that has ended.
     """
 
     held: Held
     clock: Callable[[], float]
+    drop_checkpoints: Callable[[str, int], None]
 
     def take(self, messages: Sequence[Message]) -> None:
         """Write messages that arrived together, in one commit. A fenced attempt's are refused, and that is noted."""
@@ -144,6 +146,12 @@ class Arrivals:
     def _ended(self, drive: Drive, live: Live, row: TrialRow) -> None:
         self.held.forget(drive, live)
         drive.end_of(row)
+        self.sweep(drive, row.number)
+
+    def sweep(self, drive: Drive, trial: int) -> None:
+        """A trial has ended for good, and that is on record: nothing goes on from its checkpoints."""
+        if not drive.spec.keep_checkpoints:
+            self.drop_checkpoints(drive.key, trial)
 
     def queued_again(self, drive: Drive, live: Live, row: TrialRow, *, wait: float) -> None:
         self.held.forget(drive, live)

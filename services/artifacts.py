@@ -1,16 +1,9 @@
 """Files that trials leave: artifacts, named by rows of the trial database, and checkpoints, named by none.
 
-Layout below the root, the same on a folder and on object storage:
-
-    <study id>-<study name>/<trial>/policy-<hash>.safetensors     what `put` wrote
-    <study id>-<study name>/<trial>/checkpoints/<iteration>-<hash>.checkpoint
-    ... .torn                                                     set aside because content and hash differ
-
-    .halma-artifacts                                              the root's identity, so that it is known again
-
-The SHA-256 is part of every name. So a worker that comes back from the dead can't overwrite what its successor
-wrote and a row already names; a file that was cut short is found out without asking the database; and writing
-the same bytes twice is no change.
+The layout below the root (`services.artifact_names`) is the same on a folder and on object storage. The SHA-256 is
+part of every name. So a worker that comes back from the dead can't overwrite what its successor wrote and a row
+already names; a file that was cut short is found out without asking the database; and writing the same bytes twice
+is no change.
 """
 
 from __future__ import annotations
@@ -18,35 +11,48 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import re
 import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path, PurePosixPath
-from typing import Protocol
+from typing import Any, Protocol
 
 import fsspec
 
+from services.artifact_names import (
+    CHECKPOINT,
+    MARKER,
+    TEMPORARY,
+    TORN,
+    checked,
+    checkpoint_name,
+    checkpoints_folder,
+    hashed,
+    single,
+    trial_folder,
+)
 from services.errors import ArtifactDamaged, BadInput, HalmaError, StorageUnavailable
 from services.store.port import ArtifactRow, NewArtifact
 
 KEPT_CHECKPOINTS = 2
 """The newest, and the one before it should the newest turn out torn."""
 
-_NAME_DIGITS = 16
-"""Hex digits of the hash in an artifact's name: enough to keep writers apart; the row holds all 64."""
 
-_CHECKPOINT = re.compile(r"(?P<iteration>\d{8,})-(?P<sha256>[0-9a-f]{64})\.checkpoint")
-MARKER = ".halma-artifacts"
-"""Holds the identity of a root: the same files under another path, or on another host, have the same."""
+@dataclass(frozen=True, slots=True)
+class StoredFile:
+    """A file as storage lists it.
 
-_TEMPORARY = ".writing-"
-_TORN = ".torn"
+    Args:
+        path: below the root.
+        size: bytes.
+        modified: seconds since 1970 by the clock of the storage; None where it doesn't say.
+    """
 
-
-def study_key(study_id: int, name: str) -> str:
-    """The folder of a study: its id, which no other study ever has, and its name for people."""
-    return f"{study_id}-{re.sub(r'[^A-Za-z0-9._-]+', '_', name)}"
+    path: str
+    size: int
+    modified: float | None
 
 
 class ArtifactStore(Protocol):
@@ -72,8 +78,11 @@ class ArtifactStore(Protocol):
     def drop_checkpoints(self, study_key: str, trial: int) -> None:
         """Remove the checkpoints of a trial that is final, torn ones too."""
 
+    def files(self) -> Iterator[StoredFile]:
+        """All files below the root but its marker, in no order, unfinished ones among them."""
+
     def paths(self) -> Iterator[str]:
-        """Paths of all files below the root but its marker, in no order, unfinished ones among them."""
+        """Their paths."""
 
     def remove(self, path: str) -> None:
         """Remove a file; one that is gone already is fine. Raises `BadInput` for a path that leaves the root."""
@@ -81,8 +90,14 @@ class ArtifactStore(Protocol):
     def identity(self) -> str:
         """What tells this root from every other, wherever it is mounted; empty where it has not been marked."""
 
-    def mark(self) -> str:
-        """Give the root an identity where it has none. Returns it."""
+    def owner(self) -> str:
+        """The history of the trial database that the root belongs to; empty where it has not been told."""
+
+    def mark(self, identity: str = "", owner: str = "") -> str:
+        """Mark the root: what is given replaces what its mark says, and one without an identity gets one.
+
+        Returns its identity.
+        """
 
 
 def open_artifacts(url_or_path: str | Path) -> ArtifactStore:
@@ -95,7 +110,7 @@ def open_artifacts(url_or_path: str | Path) -> ArtifactStore:
 
 
 class _Files(ABC):
-    """Names, hashes and checkpoints over six operations on files, which the adapters bring."""
+    """Names, hashes and checkpoints over seven operations on files, which the adapters bring."""
 
     url: str
 
@@ -116,20 +131,24 @@ class _Files(ABC):
         """Give a file another name in its folder; one that is gone already is fine."""
 
     @abstractmethod
-    def remove(self, path: str) -> None:
+    def _remove(self, path: str) -> None:
         """Remove a file; one that is gone already is fine."""
+
+    @abstractmethod
+    def _all_files(self) -> Iterator[StoredFile]:
+        """All files below the root but its marker."""
 
     def put(self, study_key: str, trial: int, name: str, data: bytes) -> NewArtifact:
         """Keep a named result of a trial; see the port."""
         digest = hashlib.sha256(data).hexdigest()
-        path = str(_trial_folder(study_key, trial) / _hashed(_single("artifact name", name), digest))
+        path = str(trial_folder(study_key, trial) / hashed(single("artifact name", name), digest))
         with self._storage("written"):
             self._write(path, data)
         return NewArtifact(name=name, path=path, sha256=digest, size=len(data))
 
     def read(self, artifact: ArtifactRow | NewArtifact) -> bytes:
         """The content that was recorded; see the port."""
-        path = str(_checked(artifact.path))
+        path = str(checked(artifact.path))
         with self._storage("read"):
             data = self._read(path)
         where = f"artifact {artifact.path} in {self.url}"
@@ -148,18 +167,18 @@ class _Files(ABC):
 
     def put_checkpoint(self, study_key: str, trial: int, iteration: int, data: bytes) -> str:
         """Keep a checkpoint; see the port."""
-        folder = str(_checkpoints(study_key, trial))
-        name = f"{iteration:08d}-{hashlib.sha256(data).hexdigest()}.checkpoint"
+        folder = str(checkpoints_folder(study_key, trial))
+        name = checkpoint_name(iteration, hashlib.sha256(data).hexdigest())
         with self._storage("written"):
             self._write(f"{folder}/{name}", data)
             for _, old in self._ranked(folder)[KEPT_CHECKPOINTS:]:
                 if old != name:
-                    self.remove(f"{folder}/{old}")
+                    self._remove(f"{folder}/{old}")
         return f"{folder}/{name}"
 
     def newest_checkpoint(self, study_key: str, trial: int) -> tuple[int, bytes] | None:
         """Iteration and content of the newest intact checkpoint; see the port."""
-        folder = str(_checkpoints(study_key, trial))
+        folder = str(checkpoints_folder(study_key, trial))
         with self._storage("read"):
             for iteration, name in self._ranked(folder):
                 data = self._read(f"{folder}/{name}")
@@ -167,30 +186,54 @@ class _Files(ABC):
                     continue
                 if f"-{hashlib.sha256(data).hexdigest()}." in name:
                     return iteration, data
-                self._rename(f"{folder}/{name}", name + _TORN)
+                self._rename(f"{folder}/{name}", name + TORN)
         return None
 
     def drop_checkpoints(self, study_key: str, trial: int) -> None:
         """Remove the checkpoints of a trial that is final; see the port."""
-        folder = str(_checkpoints(study_key, trial))
+        folder = str(checkpoints_folder(study_key, trial))
         with self._storage("written"):
             for name in self._names(folder):
-                self.remove(f"{folder}/{name}")
+                self._remove(f"{folder}/{name}")
 
     def identity(self) -> str:
         """What tells this root from every other; see the port."""
-        with self._storage("read"):
-            found = self._read(MARKER)
-        return "" if found is None else found.decode("ascii", "replace").strip()
+        return self._mark()[0]
 
-    def mark(self) -> str:
-        """Give the root an identity where it has none; see the port."""
-        found = self.identity()
-        if not found:
-            found = uuid.uuid4().hex
+    def owner(self) -> str:
+        """The history of the trial database that the root belongs to; see the port."""
+        return self._mark()[1]
+
+    def mark(self, identity: str = "", owner: str = "") -> str:
+        """Mark the root; see the port."""
+        found = self._mark()
+        wanted = (identity or found[0] or uuid.uuid4().hex, owner or found[1])
+        if wanted != found:
             with self._storage("written"):
-                self._write(MARKER, f"{found}\n".encode())
-        return found
+                self._write(MARKER, "".join(f"{line}\n" for line in wanted if line).encode())
+        return wanted[0]
+
+    def _mark(self) -> tuple[str, str]:
+        """Identity and owner, as the mark says."""
+        with self._storage("read"):
+            found = self._read(MARKER) or b""
+        lines = [*found.decode("ascii", "replace").splitlines(), "", ""]
+        return lines[0].strip(), lines[1].strip()
+
+    def files(self) -> Iterator[StoredFile]:
+        """All files below the root but its marker; see the port."""
+        with self._storage("listed"):
+            yield from self._all_files()
+
+    def paths(self) -> Iterator[str]:
+        """Paths of all files below the root but its marker; see the port."""
+        return (file.path for file in self.files())
+
+    def remove(self, path: str) -> None:
+        """Remove a file; see the port."""
+        checked(path, unfinished=True)
+        with self._storage("removed"):
+            self._remove(path)
 
     @contextlib.contextmanager
     def _storage(self, done: str) -> Iterator[None]:
@@ -209,7 +252,7 @@ class _Files(ABC):
 
     def _ranked(self, folder: str) -> list[tuple[int, str]]:
         """Iteration and name of the checkpoints that a folder claims to hold, newest first."""
-        found = ((_CHECKPOINT.fullmatch(name), name) for name in self._names(folder))
+        found = ((CHECKPOINT.fullmatch(name), name) for name in self._names(folder))
         return sorted(((int(match["iteration"]), name) for match, name in found if match), reverse=True)
 
 
@@ -222,7 +265,7 @@ class FolderArtifacts(_Files):
 
     def _inside(self, path: str) -> Path:
         """Where a path lies once all links are followed. Raises `BadInput` where that is not below the root."""
-        real = (self._root / _checked(path)).resolve()
+        real = (self._root / checked(path)).resolve()
         if not real.is_relative_to(self._root.resolve()):
             raise BadInput(
                 f"artifact path {path!r}: expected a place below {self._root}, found that links lead to {real}; "
@@ -233,7 +276,7 @@ class FolderArtifacts(_Files):
     def _write(self, path: str, data: bytes) -> None:
         target = self._inside(path)
         _make_folder(target.parent)
-        temporary = target.with_name(f"{_TEMPORARY}{uuid.uuid4().hex}")
+        temporary = target.with_name(f"{TEMPORARY}{uuid.uuid4().hex}")
         try:
             with temporary.open("xb") as file:
                 file.write(data)
@@ -262,20 +305,27 @@ class FolderArtifacts(_Files):
         with contextlib.suppress(FileNotFoundError):
             source.replace(source.with_name(name))
 
-    def paths(self) -> Iterator[str]:
-        """Paths of all files below the root; links are not followed."""
-        for folder, _, names in os.walk(self._root):
+    def _all_files(self) -> Iterator[StoredFile]:
+        """Links are listed, and not followed."""
+        for folder, _, names in os.walk(self._root, onerror=_raise):
             for name in names:
-                path = (Path(folder) / name).relative_to(self._root).as_posix()
-                if path != MARKER:
-                    yield path
+                file = Path(folder) / name
+                path = file.relative_to(self._root).as_posix()
+                with contextlib.suppress(FileNotFoundError):  # it was removed or renamed meanwhile
+                    if path != MARKER:
+                        found = file.lstat()
+                        yield StoredFile(path, found.st_size, found.st_mtime)
 
-    def remove(self, path: str) -> None:
-        """Remove a file, of a link the link; one that is gone already is fine."""
-        checked = _checked(path)
-        (self._inside(str(checked.parent)) if len(checked.parts) > 1 else self._root).joinpath(checked.name).unlink(
-            missing_ok=True
-        )
+    def _remove(self, path: str) -> None:
+        """Of a link the link; folders that are empty then go with it."""
+        parts = checked(path, unfinished=True)
+        folder = self._inside(str(parts.parent)) if len(parts.parts) > 1 else self._root.resolve()
+        folder.joinpath(parts.name).unlink(missing_ok=True)
+        # Whoever makes a file in one of them just now finds it gone, and tries again (`StorageUnavailable`).
+        with contextlib.suppress(OSError):
+            while folder != self._root.resolve():
+                folder.rmdir()
+                folder = folder.parent
 
 
 class ObjectArtifacts(_Files):
@@ -287,7 +337,7 @@ class ObjectArtifacts(_Files):
         self._root = str(root).rstrip("/")
 
     def _place(self, path: str) -> str:
-        return f"{self._root}/{_checked(path)}"
+        return f"{self._root}/{checked(path)}"
 
     def _write(self, path: str, data: bytes) -> None:
         self._files.pipe_file(self._place(path), data)
@@ -311,54 +361,37 @@ class ObjectArtifacts(_Files):
         with contextlib.suppress(FileNotFoundError):
             self._files.mv(source, str(PurePosixPath(source).with_name(name)))
 
-    def paths(self) -> Iterator[str]:
-        """Paths of all objects below the root."""
+    def _all_files(self) -> Iterator[StoredFile]:
         self._files.invalidate_cache()
-        for place in self._files.find(self._root):
+        for place, found in self._files.find(self._root, detail=True).items():
             path = str(place).removeprefix(self._root + "/")
             if path != MARKER:
-                yield path
+                yield StoredFile(path, int(found.get("size") or 0), _moment(found))
 
-    def remove(self, path: str) -> None:
-        """Remove an object; one that is gone already is fine."""
+    def _remove(self, path: str) -> None:
         with contextlib.suppress(FileNotFoundError):
-            self._files.rm_file(self._place(path))
+            self._files.rm_file(f"{self._root}/{checked(path, unfinished=True)}")
+
+
+def _moment(found: dict[str, Any]) -> float | None:
+    """When an object was written, in whatever word its file system has for it."""
+    for name in ("LastModified", "last_modified", "mtime", "created"):
+        at = found.get(name)
+        if isinstance(at, datetime):
+            return at.timestamp()
+        if isinstance(at, int | float):
+            return float(at)
+    return None
+
+
+def _raise(error: OSError) -> None:
+    """A folder that can't be listed is no empty one; one that has just been removed is."""
+    if not isinstance(error, FileNotFoundError | NotADirectoryError):
+        raise error
 
 
 def _why_not(url: str, done: str, found: str) -> str:
     return f"artifacts {url}: expected files that can be {done}, found: {found}; nothing half-done was left"
-
-
-def _checked(path: str) -> PurePosixPath:
-    """A relative path that stays where it is put. Raises `BadInput`."""
-    parts = path.split("/")
-    if any(part in {"", ".", ".."} or part.startswith(_TEMPORARY) for part in parts) or re.search(r"[\\\0:]", path):
-        raise BadInput(
-            f"artifact path {path!r}: expected names joined by single slashes, without '..', '\\' or ':' and not "
-            "absolute, so that it can't leave its folder"
-        )
-    return PurePosixPath(path)
-
-
-def _single(what: str, name: str) -> str:
-    """A name that is no path. Raises `BadInput`."""
-    if len(_checked(name).parts) != 1:
-        raise BadInput(f"{what} {name!r}: expected a single name, found a path; leave the folders out")
-    return name
-
-
-def _trial_folder(study_key: str, trial: int) -> PurePosixPath:
-    return PurePosixPath(_single("study key", study_key)) / f"{trial:06d}"
-
-
-def _checkpoints(study_key: str, trial: int) -> PurePosixPath:
-    return _trial_folder(study_key, trial) / "checkpoints"
-
-
-def _hashed(name: str, digest: str) -> str:
-    """`policy.safetensors` -> `policy-0123456789abcdef.safetensors`."""
-    stem, dot, suffix = name.partition(".")
-    return f"{stem}-{digest[:_NAME_DIGITS]}{dot}{suffix}"
 
 
 def _make_folder(folder: Path) -> None:

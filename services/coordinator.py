@@ -71,7 +71,7 @@ class Coordinator:
         self._leave: Leaving | None = None
         self._control_due = self._beat_due = self._adopt_due = 0.0
         self._held = Held(store, sleep, impatient=lambda: self._leave is not None)
-        self._arrivals = Arrivals(self._held, clock)
+        self._arrivals = Arrivals(self._held, clock, dispatcher.drop_checkpoints)
         self._watch = DriverWatch(store, clock, sleep)
 
     # -- taking and leaving studies --------------------------------------------------------------------------------
@@ -212,6 +212,7 @@ class Coordinator:
                 seed=trial_seed(drive.spec.seed, drive.next_number + place),
                 z=candidate["z"],
                 warm_start=candidate["warm_start"],
+                stage=candidate["stage"],
                 info=candidate["info"],
             )
             for place, candidate in enumerate(answer.candidates)
@@ -308,9 +309,11 @@ class Coordinator:
             if row.drive_token != drive.token:
                 self._drop(drive, "another driver has taken it over")
                 continue
-            drive.row = row
-            if drive.leaving is None and row.wanted == "pause":
-                self._send_away(drive, Leaving(StudyState.PAUSED, "paused by request"))
+            drive.follow(row)
+            if drive.leaving is not None and drive.leaving.asked and row.wanted == "run":
+                drive.stay()
+            elif drive.leaving is None and row.wanted == "pause":
+                self._send_away(drive, Leaving(StudyState.PAUSED, "paused by request", asked=True))
             elif row.wanted == "cancel" and not (drive.leaving and drive.leaving.cancels):
                 self._send_away(drive, Leaving(StudyState.CANCELLED, "cancelled by request", cancels=True))
 
@@ -406,15 +409,26 @@ class Coordinator:
                 self._let_go(drive, drive.leaving)
 
     def _let_go(self, drive: Drive, leaving: Leaving) -> None:
+        # A last look: whoever extended the study, or took a pause back, was told that its driver goes on.
+        row = self._store.wanted([drive.row.id]).get(drive.row.id)
+        if row is not None and row.drive_token == drive.token:
+            drive.follow(row)
+            thought_better = leaving.asked and row.wanted == "run"
+            if thought_better or (leaving.state is StudyState.COMPLETE and not drive.finished()):
+                drive.stay()
+                return
+
         def write(change: Change) -> list[Effect]:
             if leaving.cancels:
                 for trial in drive.open.values():
                     change.cancel_trial(trial.id, drive.token, leaving.reason)
             change.release_drive(drive.row.id, drive.token, leaving.state, leaving.reason)
-            return [lambda: self._released(drive)]
+            return [lambda: self._released(drive, cancelled=list(drive.open) if leaving.cancels else [])]
 
         self._guarded(drive, write)
 
-    def _released(self, drive: Drive) -> None:
+    def _released(self, drive: Drive, cancelled: Sequence[int]) -> None:
+        for number in cancelled:
+            self._arrivals.sweep(drive, number)
         self._held.release(drive)
         self._strategist.close(drive.row.id)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from services.artifacts import study_key
+from services.artifact_names import study_key
 from services.dispatch.port import Assignment
 from services.proposing import ProposalRequest, candidate_json, observation_json, proposal_key
 from services.spec import StudySpec
@@ -48,6 +48,8 @@ class Leaving:
     reason: str
     cancels: bool = False
     """Whether open trials are cancelled rather than kept for a later drive."""
+    asked: bool = False
+    """Whether people asked for it, who may think better of it before it is done."""
 
 
 @dataclass(slots=True)
@@ -87,6 +89,12 @@ class Drive:
     leave_by: float = math.inf
     """Monotonic time at which attempts that have not stopped yet are ended."""
 
+    def follow(self, row: StudyRow) -> None:
+        """Take note of the row as it stands: what people want, budgets, and how the study is to be run."""
+        if row.spec != self.row.spec:
+            self.spec = StudySpec.from_json(row.spec)
+        self.row = row
+
     @property
     def key(self) -> str:
         """Folder of the study in the artifact store."""
@@ -101,7 +109,8 @@ class Drive:
         """How many more trials the budget allows now; infinite under a cost budget that is not spent."""
         if self.row.target_cost is not None and sum(trial.samples for trial in self.history) >= self.row.target_cost:
             return 0
-        if self.row.target_trials is None:
+        # With stages the target is that of the search alone; the strategy knows when all of them are over.
+        if self.row.target_trials is None or self.spec.stages:
             return math.inf
         return max(0, self.row.target_trials - len(self.history) - len(self.open))
 
@@ -141,6 +150,7 @@ class Drive:
             count=count,
             rng_key=proposal_key(self.spec.seed, self.next_number),
             target_cost=self.row.target_cost,
+            target_trials=self.row.target_trials,
         )
 
     def assignment(self, trial: TrialRow, live: Live, parent_artifacts: tuple[NewArtifact, ...]) -> Assignment:
@@ -156,6 +166,10 @@ class Drive:
             parent_artifacts=parent_artifacts,
             iteration=trial.iteration,
         )
+
+    def stay(self) -> None:
+        """Not leave after all. What was asked to stop comes back as it stops, and is started again."""
+        self.leaving, self.leave_by = None, math.inf
 
     def end_of(self, trial: TrialRow) -> None:
         """A trial got its place in the history."""

@@ -43,6 +43,10 @@ class DatabaseUnavailable(BadInput):
     """The trial database can't be opened, reached or written, or is of another schema."""
 
 
+class ArtifactsMoved(BadInput):
+    """The artifacts are not where the record knows them: where they were, where they are looked for, what to do."""
+
+
 class ArtifactDamaged(HalmaError):
     """An artifact is missing or doesn't match its hash."""
 

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from search import Candidate, Observation, SearchError
+from search.record import SEARCH
 from services.store.port import JSON, TrialRow
 from services.translate import build_strategy
 
@@ -46,6 +47,7 @@ class ProposalRequest:
         count: how many candidates are wanted.
         rng_key: entropy of the generator.
         target_cost: samples that the study may spend now, for strategies that plan them; it may have been extended.
+        target_trials: trials of the search now, after which further stages begin; likewise.
     """
 
     study: int
@@ -56,6 +58,7 @@ class ProposalRequest:
     count: int
     rng_key: tuple[int, ...]
     target_cost: float | None = None
+    target_trials: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +67,8 @@ class Proposed:
 
     Args:
         study: row id of the study.
-        candidates: `params`, `z`, `warm_start` (a trial number) and `info` of each; none where the search is done.
+        candidates: `params`, `z`, `warm_start` (a trial number), `info` and `stage` of each; none where the search is
+            done, or waits for open trials.
         seconds: how long it took.
         missing_from: where set, nothing was proposed: tell the history again from this position.
         error: where set, nothing was proposed: the sentence for the record.
@@ -79,7 +83,13 @@ class Proposed:
 
 def candidate_json(trial: TrialRow) -> dict[str, JSON]:
     """A trial as the search's candidate, in JSON."""
-    return {"number": trial.number, "params": dict(trial.params), "z": trial.z, "warm_start": trial.warm_start}
+    return {
+        "number": trial.number,
+        "params": dict(trial.params),
+        "z": trial.z,
+        "warm_start": trial.warm_start,
+        "stage": trial.stage,
+    }
 
 
 def observation_json(trial: TrialRow) -> dict[str, JSON]:
@@ -107,15 +117,20 @@ class Proposer:
     _index: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._target_cost = self.spec.get("search", {}).get("cost")
+        search = self.spec.get("search", {})
+        self._planned = (search.get("cost"), search.get("trials"))
         self._strategy = build_strategy(self.spec)
 
-    def _plan_for(self, target_cost: float | None) -> None:
+    def _plan_for(self, target_cost: float | None, target_trials: int | None = None) -> None:
         """A study that was extended has more to plan with; its strategy is made anew, and remembers nothing anyway."""
-        if target_cost is None or target_cost == self._target_cost:
+        cost, trials = self._planned
+        planned = (cost if target_cost is None else target_cost, trials if target_trials is None else target_trials)
+        # How many trials there are is the coordinator's affair, unless stages follow them.
+        if planned == self._planned or (planned[0] == cost and not self.spec.get("stages")):
             return
-        self._strategy = build_strategy({**self.spec, "search": {**self.spec["search"], "cost": target_cost}})
-        self._target_cost = target_cost
+        search = {**self.spec["search"], "cost": planned[0], "trials": planned[1]}
+        self._strategy = build_strategy({**self.spec, "search": search})
+        self._planned = planned
 
     def propose(self, request: ProposalRequest) -> Proposed:
         """Propose, or say what is missing, or why it could not."""
@@ -130,7 +145,7 @@ class Proposer:
             self._history.append(self._observation(observation))
         if len(self._history) != request.history:
             return Proposed(request.study, missing_from=0)
-        self._plan_for(request.target_cost)
+        self._plan_for(request.target_cost, request.target_trials)
         began = time.perf_counter()
         rng = np.random.default_rng(np.random.SeedSequence(request.rng_key))
         pending = [self._candidate(each) for each in request.pending]
@@ -150,6 +165,7 @@ class Proposer:
             params=dict(values["params"]),
             z=values["z"],
             warm_start=None if parent is None else self._index.get(parent),
+            stage=values["stage"],
         )
 
     def _observation(self, values: Mapping[str, JSON]) -> Observation:
@@ -162,13 +178,16 @@ class Proposer:
         )
 
     def _told(self, candidate: Candidate) -> dict[str, Any]:
-        # A task that learns nothing leaves no policy to start from, so there is no lineage to keep either.
-        parent = candidate.warm_start if self.spec.get("trains", True) else None
+        # A task that learns nothing leaves no policy to start from, so there is no lineage to keep either; but a later
+        # stage tells by it which strategies it has taken up.
+        kept = self.spec.get("trains", True) or candidate.stage != SEARCH
+        parent = candidate.warm_start if kept else None
         return {
             "params": dict(candidate.params),
             "z": candidate.z,
             "warm_start": None if parent is None else self._numbers[parent],
             "info": dict(candidate.info),
+            "stage": candidate.stage,
         }
 
 

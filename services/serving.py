@@ -17,6 +17,7 @@ import uvicorn
 
 from services.address import read_server
 from services.api.submission import submit_to
+from services.artifact_root import settle
 from services.artifacts import open_artifacts
 from services.auth import load_or_create_token
 from services.errors import BadInput
@@ -59,6 +60,7 @@ def serve(
         BadInput: the port is taken, the address is none of this machine's, or a service of this home works on this
             database already.
         DatabaseUnavailable: the trial database can't be opened.
+        ArtifactsMoved: the artifacts are not where the record knows them.
     """
     running = read_server(settings.server_file)
     if running is not None and running.database == settings.database and running.pid != os.getpid():
@@ -69,10 +71,12 @@ def serve(
     with listening(host, port, settings) as listener:
         token = load_or_create_token(settings.home)
         store = open_store(settings.database)
+        artifacts = open_artifacts(settings.artifacts)
         try:
+            settle(store, artifacts)
             app = load_factory(factory)(
                 store,
-                open_artifacts(settings.artifacts),
+                artifacts,
                 token=token.token,
                 submit=submit_to(store),
                 hosts=[*hosts, host],

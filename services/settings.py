@@ -46,8 +46,15 @@ class Settings:
         return self.home / "server.json"
 
 
-def find_settings(database: str | None = None, environ: Mapping[str, str] = os.environ) -> Settings:
-    """The places, from `--db` (`database`) and the environment (`HALMA_HOME`, `HALMA_DB`, `HALMA_ARTIFACTS`).
+def find_settings(
+    database: str | None = None, environ: Mapping[str, str] = os.environ, artifact_root: str | None = None
+) -> Settings:
+    """The places, from what was typed and the environment (`HALMA_HOME`, `HALMA_DB`, `HALMA_ARTIFACTS`).
+
+    Args:
+        database: `--db`.
+        environ: the environment.
+        artifact_root: `--artifacts`.
 
     Raises:
         BadInput: a value that can't be a place.
@@ -64,7 +71,11 @@ def find_settings(database: str | None = None, environ: Mapping[str, str] = os.e
         url = given
     else:
         url = str(Path(given).expanduser().absolute())
-    root = environ.get("HALMA_ARTIFACTS")
+    if artifact_root is not None and not artifact_root.strip():
+        raise BadInput(
+            "--artifacts: expected a folder or a URL, found nothing; for example --artifacts s3://bucket/halma"
+        )
+    root = artifact_root or environ.get("HALMA_ARTIFACTS")
     if not root:
         artifacts = str(_artifacts_of(url, home))
     elif "://" in root:

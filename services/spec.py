@@ -6,6 +6,7 @@ The models check what can be known without looking at a task or a strategy (`ser
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
@@ -23,6 +24,9 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, PydanticCustomError
 
+from search.record import SEARCH
+from search.stages import in_order
+from services.problems import nearest
 from services.profiles import PROFILES, relaxed
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
@@ -166,6 +170,52 @@ class SearchPlan(Section):
         return self
 
 
+class LaterStage(Section):
+    """What every stage after the search says.
+
+    Its `settings` and `training` are laid over the study's, key by key.
+    """
+
+    after: Annotated[
+        tuple[StrictStr, ...],
+        BeforeValidator(lambda value: [value] if isinstance(value, str) else value, json_schema_input_type=Any),
+        Field(
+            strict=False, min_length=1, description="the stages whose distinct strategies it takes up: a name, or more"
+        ),
+    ] = (SEARCH,)
+    strategies: Whole = Field(default=5, gt=0, description="at most so many of them, best first")
+    settings: dict[str, JsonValue] = Field(default_factory=dict, description="settings of the task in this stage")
+    training: dict[str, JsonValue] = Field(default_factory=dict, description="training settings of this stage")
+
+    @field_validator("training")
+    @classmethod
+    def _training(cls, training: dict[str, Any]) -> dict[str, Any]:
+        _positive_budget(training)
+        return training
+
+
+class NoveltyStage(LaterStage):
+    """Trainings from each strategy, rewarded for being unlike all that is known."""
+
+    kind: Literal["novelty"]
+    trainings: Whole = Field(default=5, gt=0, le=1000, description="from each strategy (k)")
+    threshold: Finite = Field(
+        default=math.pi / 2, gt=0, description="how far from all that is known earns the whole reward (d_threshold)"
+    )
+
+
+class PolishStage(LaterStage):
+    """Each strategy trained on until its value stops rising."""
+
+    kind: Literal["polish"]
+    rounds: Whole = Field(default=5, gt=0, le=1000, description="at most so many trainings, one after the other")
+    rise: Finite = Field(default=0.0, ge=0, description="a training that raises the value by no more was the last")
+
+
+StageChoice = Annotated[NoveltyStage | PolishStage, Field(discriminator="kind")]
+"""A stage after the search."""
+
+
 class Resources(Section):
     """Where and how widely the trials run."""
 
@@ -177,7 +227,15 @@ class Resources(Section):
 class Retries(Section):
     """What happens to a trial whose worker vanished or whose task raised an error."""
 
-    limit: Whole = Field(default=2, ge=0, le=100, description="further attempts before the trial counts as failed")
+    limit: Whole = Field(
+        default=2,
+        ge=0,
+        le=100,
+        description="further attempts after errors of the task, after losses that got nowhere",
+    )
+    total: Whole = Field(
+        default=30, ge=0, le=10_000, description="further attempts in all (at least the limit), however far each came"
+    )
     backoff_seconds: Finite = Field(default=1.0, ge=0, description="wait before the first retry; doubles each time")
 
 
@@ -200,6 +258,9 @@ class StudySpec(Section):
         default=None, min_length=1, description="what is searched over; default: the task's own space"
     )
     search: SearchPlan = Field(description="a mapping of `strategy`, `settings` and `trials` or `cost`")
+    stages: dict[Name, StageChoice] = Field(
+        default_factory=dict, description="what follows the search, by name: `kind` novelty or polish, `after`, ..."
+    )
     training: dict[str, JsonValue] = Field(
         default_factory=dict, description="budget, network and learner settings, validated by the task"
     )
@@ -207,9 +268,19 @@ class StudySpec(Section):
     profile: StrictStr | None = Field(default=None, description="which of the file's profiles runs (`--profile`)")
     seed: Whole = Field(default=0, ge=0, le=LARGEST_SEED, description="all randomness of the study flows from it")
     priority: Whole = Field(default=0, ge=-1000, le=1000, description="studies of higher priority get slots first")
+    share: Finite = Field(
+        default=1.0,
+        gt=0,
+        le=1000,
+        description="of the core-seconds of its pool and priority: 2 gets twice 1",
+    )
     retries: Retries = Retries()
     stop_after_failures: Whole = Field(
         default=5, gt=0, description="stop the study when so many trials in a row failed"
+    )
+
+    keep_checkpoints: StrictBool = Field(
+        default=False, description="keep the checkpoints of trials that have ended; by default they are removed"
     )
 
     @field_validator("training")
@@ -217,6 +288,33 @@ class StudySpec(Section):
     def _training(cls, training: dict[str, Any]) -> dict[str, Any]:
         _positive_budget(training)
         return training
+
+    @model_validator(mode="after")
+    def _stages(self) -> Self:
+        if not self.stages:
+            return self
+        known = [SEARCH, *self.stages]
+        if SEARCH in self.stages:
+            raise wrong(f"stages.{SEARCH}", f"expected another name, found {SEARCH}, which is that of the first stage")
+        for name, stage in self.stages.items():
+            for place, earlier in enumerate(stage.after):
+                if earlier not in known or earlier == name:
+                    others = [each for each in known if each != name]
+                    raise wrong(
+                        f"stages.{name}.after", f"expected another stage, found {earlier}; {nearest(earlier, others)}"
+                    )
+                if earlier in stage.after[:place]:
+                    raise wrong(f"stages.{name}.after", f"expected each stage once, found {earlier} twice")
+        ordered = in_order({name: stage.after for name, stage in self.stages.items()})
+        for name in self.stages:
+            if name not in ordered:
+                raise wrong(
+                    f"stages.{name}.after",
+                    f"expected stages that begin before {name}, found that they wait in a circle",
+                )
+        if self.search.trials is None:
+            raise wrong("search.trials", "expected the number of trials after which the later stages begin, found none")
+        return self
 
     def to_json(self) -> dict[str, Any]:
         """The spec as plain JSON values, for the trial database."""

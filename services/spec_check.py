@@ -13,12 +13,15 @@ from services.located_yaml import Path as Place
 from services.problems import BadStudy, Problem
 from services.spec import ResolvedSpec, StudySpec
 from services.spec_file import Draft, draft, read_draft
-from services.translate import make_strategy_of, resolve
+from services.translate import make_strategy_of, resolve, settings_in
 from workers.contracts import BadJob, BadSetting, Task, TaskInfo
 from workers.registry import load_task
 from workers.user_code import UnknownTask
 
 Problems = list[Problem]
+
+NOVELTY = "a function can where it has an argument `avoid`"
+"""How a task of one's own gets to know what to keep away from."""
 
 DIFFICULTY = "an argument z of the function or of the environment's constructor, or task.settings.difficulty"
 """How a task of one's own gets a difficulty."""
@@ -49,6 +52,7 @@ def check(read: Draft) -> ResolvedSpec:
     if spec is not None:
         _ask_task(read, spec, task, problems)
         if not problems:
+            _ask_stages(read, spec, task, info, problems)
             _ask_strategy(read, spec, problems)
     if problems or spec is None:
         raise BadStudy(sorted(problems, key=read.source.order))
@@ -101,6 +105,35 @@ def _ask_task(read: Draft, spec: ResolvedSpec, task: Task, problems: Problems) -
         problems.append(read.source.problem(_place(error), error.message))
     except BadJob as error:
         problems.append(read.source.problem(("task",), str(error)))
+
+
+def _ask_stages(read: Draft, spec: ResolvedSpec, task: Task, info: TaskInfo, problems: Problems) -> None:
+    """Whether the later stages make sense for the task, under their own settings too."""
+    if spec.stages and info.features is None:
+        message = (
+            f"expected a task with a behaviour, which tells strategies apart, found {spec.task.name}, which has none"
+        )
+        problems.append(read.source.problem(("stages",), message))
+        return
+    for name, stage in spec.stages.items():
+        settings, training = settings_in(spec, name)
+        try:
+            found = task.info(settings)
+            task.validate(settings, training, list(spec.space or {}))
+        except BadSetting as error:
+            section = error.section.rpartition(".")[2]
+            place = ("stages", name, *_place(BadSetting(section, error.field, error.message)))
+            problems.append(read.source.problem(place, error.message))
+            continue
+        except BadJob as error:
+            problems.append(read.source.problem(("stages", name), str(error)))
+            continue
+        if found.features != info.features:
+            message = "expected settings that leave the behaviour what it is, found that they make it another one"
+            problems.append(read.source.problem(("stages", name, "settings"), message))
+        if stage.kind == "novelty" and not info.seeks_novelty:
+            message = f"expected a task that can be trained for novelty, found {spec.task.name}, which can't; {NOVELTY}"
+            problems.append(read.source.problem(("stages", name, "kind"), message))
 
 
 def _ask_strategy(read: Draft, spec: ResolvedSpec, problems: Problems) -> None:

@@ -15,6 +15,8 @@ from services.spec import (
     CategoricalParameter,
     FloatParameter,
     IntParameter,
+    NoveltyStage,
+    PolishStage,
     Resources,
     Retries,
     SearchPlan,
@@ -34,6 +36,12 @@ _PARAMETERS: Mapping[str, type[BaseModel]] = {
     "categorical": CategoricalParameter,
     "angle": AngleParameter,
 }
+_STAGES: Mapping[str, type[BaseModel]] = {"novelty": NoveltyStage, "polish": PolishStage}
+_UNIONS: Mapping[str, tuple[str, Mapping[str, type[BaseModel]]]] = {
+    "space": ("type", _PARAMETERS),
+    "stages": ("kind", _STAGES),
+}
+"""Sections of named entries, each of one of several kinds: the key that tells which, and the kinds."""
 
 
 def explained(details: ErrorDetails, data: Mapping[str, Any], source: Source) -> Problem:
@@ -54,9 +62,10 @@ def explained(details: ErrorDetails, data: Mapping[str, Any], source: Source) ->
         return source.problem(place, f"expected {_meaning(place, data)}, found nothing")
     if kind in {"union_tag_not_found", "union_tag_invalid"}:
         tag = context.get("tag")
-        tip = f"; {nearest(str(tag), _PARAMETERS)}" if tag is not None else ""
+        key, kinds = _UNIONS[str(place[0])]
+        tip = f"; {nearest(str(tag), kinds)}" if tag is not None else ""
         shown = "nothing" if tag is None else f"'{tag}'"
-        return source.problem((*place, "type"), f"expected one of {', '.join(_PARAMETERS)}, found {shown}{tip}")
+        return source.problem((*place, key), f"expected one of {', '.join(kinds)}, found {shown}{tip}")
     return source.problem(place, f"expected {_expectation(kind, context, place)}, found {found_value(found)}")
 
 
@@ -82,6 +91,8 @@ def _expectation(kind: str, context: Mapping[str, Any], place: Place) -> str:
     if kind in _PLAIN_EXPECTATIONS:
         if place[:1] == ("space",) and len(place) == 2:
             return "a parameter, for example {type: float, low: 0, high: 1}, or angle"
+        if place[:1] == ("stages",) and len(place) == 2:
+            return "a stage, for example {kind: polish, after: search}"
         return _PLAIN_EXPECTATIONS[kind]
     bounds = {
         "greater_than": ("gt", "a number above {}"),
@@ -103,7 +114,7 @@ def _expectation(kind: str, context: Mapping[str, Any], place: Place) -> str:
 
 def _place(loc: tuple[int | str, ...]) -> Place:
     """Pydantic's place without the name of the union member, which is no part of the file."""
-    if loc[:1] == ("space",) and len(loc) > 2 and loc[2] in _PARAMETERS:
+    if len(loc) > 2 and loc[0] in _UNIONS and loc[2] in _UNIONS[str(loc[0])][1]:
         return (*loc[:2], *loc[3:])
     return loc
 
@@ -114,9 +125,10 @@ def _model(place: Place, data: Mapping[str, Any]) -> type[BaseModel] | None:
         return StudySpec
     if len(place) == 1:
         return _SECTIONS.get(str(place[0]))
-    if place[0] == "space" and len(place) == 2:
-        entry = data["space"][place[1]]
-        return _PARAMETERS.get(str(entry.get("type"))) if isinstance(entry, dict) else None
+    if place[0] in _UNIONS and len(place) == 2:
+        key, kinds = _UNIONS[str(place[0])]
+        entry = data[str(place[0])][place[1]]
+        return kinds.get(str(entry.get(key))) if isinstance(entry, dict) else None
     return None
 
 

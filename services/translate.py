@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from search import Features, Space, Strategy, make_strategy
+from search.stages import NoveltyStage, PolishStage, Staged, in_order
 from services.spec import (
     AngleParameter,
     Behaviour,
@@ -94,14 +95,34 @@ def search_features(behaviour: Behaviour | None) -> Features | None:
     return Features.euclidean(len(behaviour.names), low=behaviour.low or 0.0, high=behaviour.high or 1.0)
 
 
+def laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with others laid over them: mappings key by key, everything else replaced."""
+    merged = dict(below)
+    for key, value in above.items():
+        inner = merged.get(key)
+        merged[key] = laid_over(inner, value) if isinstance(inner, Mapping) and isinstance(value, Mapping) else value
+    return merged
+
+
+def settings_in(spec: StudySpec, stage: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Settings of the task, and of the training, in a stage."""
+    later = spec.stages.get(stage)
+    if later is None:
+        return dict(spec.task.settings), dict(spec.training)
+    return laid_over(spec.task.settings, later.settings), laid_over(spec.training, later.training)
+
+
 def job_of(spec: StudySpec, trial: TrialRow) -> Job:
     """What a worker runs for a trial; also what a policy is simulated again from."""
+    settings, training = settings_in(spec, trial.stage)
+    away = {name: trial.info[name] for name in ("avoid", "threshold") if name in trial.info}
     return Job(
         study=spec.name,
         trial=trial.number,
         task=spec.task.name,
-        task_settings=spec.task.settings,
-        training=spec.training,
+        task_settings=settings,
+        training=training,
+        novelty=away if len(away) == 2 else None,
         params=dict(trial.params),
         z=trial.z,
         seed=trial.seed,
@@ -133,11 +154,30 @@ def make_strategy_of(spec: ResolvedSpec) -> Strategy:
     )
 
 
-def build_strategy(fields: Mapping[str, Any]) -> Strategy:
-    """The strategy of a study as its row keeps it. Raises `search.SearchError`."""
+def build_strategy(fields: Mapping[str, Any]) -> Strategy | Staged:
+    """The strategy of a study as its row keeps it, with its stages. Raises `search.SearchError`."""
     spec = StudySpec.from_json(fields)
-    if isinstance(spec, ResolvedSpec):
-        return make_strategy_of(spec)
-    from workers.registry import load_task  # noqa: PLC0415 - a resolved study, the usual case, needs no task
+    if not isinstance(spec, ResolvedSpec):
+        from workers.registry import load_task  # noqa: PLC0415 - a resolved study, the usual case, needs no task
 
-    return make_strategy_of(resolve(spec, load_task(spec.task.name).info(spec.task.settings)))
+        spec = resolve(spec, load_task(spec.task.name).info(spec.task.settings))
+    search = make_strategy_of(spec)
+    metric = search_features(spec.behaviour)
+    if not spec.stages or spec.search.trials is None or metric is None or spec.behaviour is None:
+        return search
+    return Staged(search, spec.search.trials, stages_of(spec), metric, spec.behaviour.distinct)
+
+
+def stages_of(spec: StudySpec) -> tuple[NoveltyStage | PolishStage, ...]:
+    """The study's later stages in the search's words and in an order in which they can follow each other.
+
+    The order is told by what comes after what: databases may forget that of a JSON object.
+    """
+    made: list[NoveltyStage | PolishStage] = []
+    for name in in_order({name: stage.after for name, stage in spec.stages.items()}):
+        stage = spec.stages[name]
+        if stage.kind == "novelty":
+            made.append(NoveltyStage(name, stage.after, stage.strategies, stage.trainings, stage.threshold))
+        else:
+            made.append(PolishStage(name, stage.after, stage.strategies, stage.rounds, stage.rise))
+    return tuple(made)

@@ -6,6 +6,7 @@ import os
 import shutil
 
 import pytest
+from object_storage import s3_root, s3_server  # noqa: F401 - fixtures of all rooms
 from playwright.sync_api import sync_playwright
 from postgres import NoPostgres, running_server
 

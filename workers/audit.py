@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from workers.contracts import JSON
 from workers.physics import rotations
-from workers.physics.athlete import HIGH, LOW, RATE, SPHERICAL, torque_bound
+from workers.physics.athlete import RATE, SPHERICAL, ranges, torque_bound
 from workers.physics.rotations import Array
 from workers.physics.world import GRAVITY
 from workers.replay import Replay
@@ -109,7 +109,9 @@ def audit(replay: Replay) -> Audit:
     gravity = float(replay.header.get("gravity", GRAVITY))
     # muscles and bones are the same anywhere: body weights are those on Earth
     weight = masses.sum() * GRAVITY
-    beyond = np.maximum(jump["pose"] - HIGH, LOW - jump["pose"])
+    joints = replay.joints()
+    low, high = ranges(joints)
+    beyond = np.maximum(jump["pose"] - high, low - jump["pose"])
     return Audit(
         (
             Check("ballistic_flight", flight_error(jump, masses, period, gravity), BALLISTIC, "m"),
@@ -120,7 +122,7 @@ def audit(replay: Replay) -> Audit:
             # a frame's torque is that at its start: in the pose of the frame before
             Check(
                 "torque",
-                _largest(np.abs(jump["torque"][1:]) / torque_bound(jump["pose"][:-1])),
+                _largest(np.abs(jump["torque"][1:]) / torque_bound(jump["pose"][:-1], joints)),
                 TORQUE_FACTOR,
                 "of the limit",
             ),

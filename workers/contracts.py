@@ -50,6 +50,8 @@ class Job:
         training: budget, network and learner settings, validated by the task.
         seed: unsigned 64-bit; all randomness of the job flows from it.
         parent: number of the trial whose policy this one starts from, or None.
+        novelty: for a training that is to find something new, `avoid` (behaviours that are known) and `threshold` (how
+            far from all of them earns the whole reward); see `workers.novelty`. None for any other.
     """
 
     study: str
@@ -61,6 +63,7 @@ class Job:
     training: Mapping[str, JSON] = field(default_factory=dict)
     z: float | None = None
     parent: int | None = None
+    novelty: Mapping[str, JSON] | None = None
 
     def seed_sequence(self, purpose: str) -> np.random.SeedSequence:
         """The seed for one named purpose, independent of how much any other purpose has drawn."""
@@ -216,6 +219,7 @@ class TaskInfo:
         features: its behaviour, or None where behaviour plays no part.
         has_difficulty: whether `z` means anything to it.
         trains: whether it learns a policy (so that it can be warm-started and replayed).
+        seeks_novelty: whether it heeds `Job.novelty`.
         settings: the task's settings with their defaults, as JSON.
         training: the training settings with their defaults, as JSON.
     """
@@ -226,6 +230,7 @@ class TaskInfo:
     features: FeatureSpec | None = None
     has_difficulty: bool = False
     trains: bool = True
+    seeks_novelty: bool = False
     settings: Mapping[str, JSON] = field(default_factory=dict)
     training: Mapping[str, JSON] = field(default_factory=dict)
 

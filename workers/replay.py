@@ -12,6 +12,7 @@ knowledge of this module: `new Float32Array(buffer, 4 + length + offset, count)`
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import struct
 from collections.abc import Mapping
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.contracts import JSON, BadJob
-from workers.physics.athlete import COORDINATES, JOINTS
+from workers.physics.athlete import COORDINATES, JOINTS, Joint
 from workers.physics.world import FRAME, GRAVITY, WALL_HALF_THICKNESS, Contacts, World
 
 FORMAT = "halma-replay"
@@ -51,8 +52,8 @@ class Replay:
 
     `header` holds `format`, `version`, `frames`, `frame_seconds`, `bodies` (names), `joints` (names), `shapes` (of the
     bodies, see `World.body_shapes`), `masses` (of the bodies, kg), `bar`, `mat_height`, `wall_half_thickness` (m),
-    `foot` (name of the take-off foot), `gravity` (m/s^2, where it is not the Earth's), and whatever the task adds under
-    `task`.
+    `foot` (name of the take-off foot), `gravity` (m/s^2, where it is not the Earth's), `changed_joints` (fields of each
+    `Joint` that is not the usual one, where there are any), and whatever the task adds under `task`.
 
     `arrays`, float32, world frame (x through the bar, y up):
 
@@ -71,6 +72,18 @@ class Replay:
 
     header: Mapping[str, JSON]
     arrays: Mapping[str, NDArray[np.float32]]
+
+    def joints(self) -> tuple[Joint, ...]:
+        """What the athlete's joints could do. Raises `BadJob` where the header says something else than that."""
+        changed = {}
+        try:
+            for given in self.header.get("changed_joints", ()):
+                changed[given["name"]] = Joint(**{**given, "low": tuple(given["low"]), "high": tuple(given["high"])})
+        except (KeyError, TypeError) as error:
+            raise BadJob(
+                f"replay: expected the changed joints of an athlete, found something else ({error})"
+            ) from error
+        return tuple(changed.get(joint.name, joint) for joint in JOINTS)
 
     @property
     def frames(self) -> int:
@@ -150,6 +163,11 @@ class Recorder:
         }
         if world.gravity != GRAVITY:  # replays on Earth stay what they were, bit for bit
             self._header["gravity"] = world.gravity
+        changed = [
+            dataclasses.asdict(joint) for joint, usual in zip(world.joints, JOINTS, strict=True) if joint != usual
+        ]
+        if changed:
+            self._header["changed_joints"] = changed
 
     def add(self, world: World, contacts: Contacts) -> None:
         """Record the world as it stands after a frame, with that frame's contacts."""

@@ -2,8 +2,9 @@
 import { actionsFor, buttons, clone } from "./actions.js";
 import { amount, duration, number, stateText } from "./format.js";
 import { Live, api, banner } from "./live.js";
+import { Pace } from "./pace.js";
 import { data, isDark, setText } from "./plain.js";
-import { drawProgress, finished, progressWords } from "./progress.js";
+import { drawProgress, progressWords } from "./progress.js";
 import { saveButtons } from "./svg.js";
 import { Trials } from "./trials.js";
 
@@ -12,8 +13,11 @@ let study = page.study;
 const base = `/studies/${encodeURIComponent(study.name)}`;
 const behaviour = study.spec.behaviour ?? null;
 const units = study.spec.units ?? {};
+const pace = new Pace(base);
 const trials = new Trials(study.name);
-const trialsLoaded = trials.load();
+// Charts need all trials, as columns; a table loads the rows that are seen.
+const CHARTS = new Set(["overview", "search", "quality"]);
+const trialsLoaded = CHARTS.has(page.view) ? trials.load() : Promise.resolve(page);
 
 function facts() {
   const state = document.getElementById("study-state");
@@ -35,24 +39,26 @@ function facts() {
   }
 }
 
-// Rate and time left from the last finished trials: a mean over the whole study would hide that it has become slower.
-function pace() {
-  const ended = trials.all().filter((trial) => trial.position !== null && trial.finished !== null).sort((a, b) => a.finished - b.finished).slice(-30);
-  if (study.state !== "running" || ended.length < 2) {
-    setText("fact-rate", "–");
-    setText("fact-left", "–");
-    return;
-  }
-  const span = Date.now() / 1000 - Math.min(...ended.map((trial) => trial.started ?? trial.finished));
-  const samples = ended.reduce((sum, trial) => sum + trial.samples, 0);
-  setText("fact-rate", `${amount(samples / span)} samples/s`);
-  const left = [];
-  if (study.target_trials) left.push(((study.target_trials - finished(study)) * span) / ended.length);
-  if (study.target_cost && samples) left.push(((study.target_cost - study.cost.samples) * span) / samples);
-  setText("fact-left", left.length ? `about ${duration(Math.max(0, Math.min(...left)))}` : "no end set");
+function drawPace() {
+  const [rate, left] = pace.words(study);
+  setText("fact-rate", rate);
+  setText("fact-left", left);
 }
 
-const context = { base, study: study.name, trials, behaviour, units, space: study.spec.space ?? {}, value: page.value, hasDifficulty: Boolean(study.spec.has_difficulty) };
+// How many distinct strategies there are; the strategies' own view counts them itself.
+let counting = 0;
+function countDistinct(wait = 0) {
+  if (!behaviour || page.view === "overview") return;
+  counting ||= setTimeout(async () => {
+    counting = 0;
+    try {
+      const { pulses: [one] } = await api(`/pulse?study=${encodeURIComponent(study.name)}`);
+      if (one) setText("fact-distinct", number(one.distinct));
+    } catch { /* the line at the top says that the service doesn't answer */ }
+  }, wait);
+}
+
+const context = { base, study: study.name, trials, behaviour, units, space: study.spec.space ?? {}, task: study.task, value: page.value, hasDifficulty: Boolean(study.spec.has_difficulty), staged: Boolean(Object.keys(study.spec.stages ?? {}).length) };
 const panelOf = (id) => document.getElementById(id).closest(".panel");
 
 // The best value against what it cost, with buttons for what the cost is counted in.
@@ -81,15 +87,17 @@ const views = {
       setText("behaviour-hint", space.hint());
       saveButtons(panelOf("behaviour"), `${study.name}-behaviours`, () => document.querySelector("#behaviour > svg"));
     }
-    const table = new TrialTable(document.getElementById("table"), { ...context, onHover: light });
+    const table = new TrialTable(document.getElementById("table"), context, { onHover: light });
+    table.rows.ask({});
     const strategies = behaviour ? new Strategies({ ...context, light }) : null;
     return {
       draw(changes) {
         chart.draw();
-        table.draw();
         space?.draw();
         if (changes.history) strategies?.refresh((found) => { if (space) { space.strategies = found; space.draw(); } });
       },
+      onEvents: (frame) => table.rows.apply(frame),
+      reload: () => table.rows.reset(),
     };
   },
   async search() {
@@ -119,7 +127,7 @@ const views = {
     const [{ TrialTable }, { filters }] = await Promise.all([import("./table.js"), import("./filters.js")]);
     const table = new TrialTable(document.getElementById("table"), context);
     const bar = filters(document.getElementById("filters"), table, `/api/v1${base}/trials.csv`);
-    return { draw() { bar.draw(); table.draw(); } };
+    return { draw() { bar.draw(study); }, onStudy: () => bar.draw(study), onEvents: (frame) => table.rows.apply(frame), reload: () => table.rows.reset() };
   },
   async events() {
     const { Events } = await import("./events.js");
@@ -128,18 +136,21 @@ const views = {
     return { draw() {}, onEvents: (frame) => events.add(frame), reload: () => events.load() };
   },
   async file() {
+    const { fileButtons } = await import("./studyfile.js");
+    fileButtons(document.getElementById("file"), study.name);
     return { draw() {} };
   },
 };
 
 facts();
-const ready = Promise.all([views[page.view](), trialsLoaded]).then(([view, position]) => {
-  pace();
+const ready = Promise.all([views[page.view](), trialsLoaded, study.state === "running" ? pace.load() : null]).then(([view, position]) => {
+  drawPace();
+  countDistinct();
   view.draw({ history: true });
   document.body.dataset.ready = "yes";
   return [view, position];
 });
-setInterval(() => { if (study.state === "running") pace(); }, 2000);
+setInterval(() => { if (study.state === "running") drawPace(); }, 2000);
 
 ready.then(([view, position]) => new Live({
   position: { cursor: position.cursor, history: position.history },
@@ -148,14 +159,19 @@ ready.then(([view, position]) => new Live({
     if (frame.type === "study") {
       study = { ...study, ...frame.study };
       facts();
-      pace();
+      drawPace();
+      view.onStudy?.();
     } else if (frame.type === "deleted") {
       banner(`The study ${study.name} was deleted. What you see is what was known of it.`);
       document.getElementById("actions").replaceChildren();
     } else if (frame.type === "events") {
-      const before = trials.history().length;
-      trials.apply(frame.trials);
-      view.draw({ history: trials.history().length !== before });
+      pace.add(frame.trials);
+      if (frame.trials.some((trial) => trial.position !== null)) countDistinct(4000);
+      if (CHARTS.has(page.view)) {
+        const before = trials.history().length;
+        trials.apply(frame.trials);
+        view.draw({ history: trials.history().length !== before });
+      }
       view.onEvents?.(frame);
     }
   },
@@ -169,10 +185,13 @@ ready.then(([view, position]) => new Live({
     }
     study = fresh;
     facts();
-    const at = await trials.load();
-    await view.reload?.();
-    pace();
+    // The position first: what happens while the rest is loaded is told again, never missed.
+    const at = CHARTS.has(page.view) ? await trials.load() : await api("/server");
+    await Promise.all([view.reload?.(), pace.load()]);
+    drawPace();
+    countDistinct();
     view.draw({ history: true });
+    view.onStudy?.();
     return at;
   },
 })).catch((error) => banner(error.message));

@@ -1,26 +1,27 @@
-// A table of trials that stays smooth at 50,000 rows: only the rows in view are in the document.
-import { amount, duration, feature, number, stateText } from "./format.js";
+// A table of trials that stays smooth at 50,000 rows: the service sorts and filters, blocks of rows are loaded as they
+// come into view, and only the rows in view are in the document.
+import { columnsOf } from "./columns.js";
 import { element } from "./plain.js";
+import { TrialWindow } from "./window.js";
 
 const ROW = 30;
 const SPARE = 12;
+const WIDEST = 300;
+const PADDING = 22;
 
 export class TrialTable {
-  #visible = [];
   #queued = false;
+  #drawn = new Map();
+  #widths = new Map();
+  #pen = document.createElement("canvas").getContext("2d");
 
-  constructor(at, { study, trials, behaviour, units, value = { name: "value", title: "value" }, onHover = () => {} }) {
-    this.valueTitle = value.title;
-    this.at = at;
-    this.study = study;
-    this.trials = trials;
-    this.behaviour = behaviour;
-    this.units = units;
-    this.onHover = onHover;
-    this.filter = () => true;
-    this.hidden = new Set();
-    this.sort = { key: "number", down: true };
-    this.table = element("table", { "aria-label": "Trials" }, element("thead"), element("tbody"));
+  constructor(at, context, { onHover = () => {} } = {}) {
+    Object.assign(this, { at, context, base: context.base, onHover, hidden: new Set(), chosen: new Set(), onChange: () => {} });
+    this.known = { parameters: [], details: [], troubled: false };
+    this.rows = new TrialWindow(context.base, () => this.#told());
+    this.table = element("table", { "aria-label": "Trials" }, element("colgroup"), element("thead"), element("tbody"));
+    this.cols = this.table.firstElementChild;
+    this.gaps = [0, 1].map(() => element("tr", { className: "gap", "aria-hidden": "true" }, element("td")));
     at.tabIndex = 0;
     at.setAttribute("role", "region");
     at.setAttribute("aria-label", "Trials, scrollable");
@@ -30,72 +31,74 @@ export class TrialTable {
     const body = this.table.tBodies[0];
     body.addEventListener("click", (event) => {
       const row = event.target.closest("tr[data-number]");
-      if (row && !event.target.closest("a") && !String(getSelection())) location.assign(this.#address(row.dataset.number));
+      if (row && !event.target.closest("a") && !String(getSelection())) location.assign(`${this.base}/trials/${row.dataset.number}`);
     });
     body.addEventListener("mouseover", (event) => this.onHover(Number(event.target.closest("tr[data-number]")?.dataset.number ?? -1)));
     body.addEventListener("mouseleave", () => this.onHover(-1));
+    this.#soon();
   }
 
-  #address(number) {
-    return `/studies/${encodeURIComponent(this.study)}/trials/${number}`;
-  }
+  columns() { return columnsOf(this.context, this.known); }
 
-  columns() {
-    const { behaviour, trials, units } = this;
-    const rows = trials.all();
-    const unitOf = (name) => (units[name] ? ` (${units[name]})` : "");
-    const columns = [
-      { key: "number", head: "#", num: true, value: (t) => t.number, text: (t) => element("a", { href: this.#address(t.number), textContent: t.number }) },
-      { key: "state", head: "State", value: (t) => t.state, text: (t) => element("span", { className: "state", dataset: { state: t.state }, textContent: stateText(t.state) }) },
-      { key: "value", head: this.valueTitle[0].toUpperCase() + this.valueTitle.slice(1), num: true, value: (t) => t.value, text: (t) => number(t.value) },
-    ];
-    for (const [index, name] of (behaviour?.names ?? []).entries()) {
-      columns.push({ key: `feature.${name}`, head: name, num: true, value: (t) => t.features?.[index] ?? null, text: (t) => (t.features ? feature(t.features[index], behaviour.kind === "rotation" ? "" : behaviour.unit) : "–") });
-    }
-    if (rows.some((t) => t.z !== null)) columns.push({ key: "z", head: "Difficulty", num: true, value: (t) => t.z, text: (t) => number(t.z, 3) });
-    for (const name of trials.parameters) {
-      const numeric = rows.some((t) => typeof t.params[name] === "number");
-      columns.push({ key: `params.${name}`, head: name + unitOf(name), num: numeric, value: (t) => t.params[name] ?? null, text: (t) => number(t.params[name] ?? null) });
-    }
-    if (rows.some((t) => t.mode !== null)) columns.push({ key: "mode", head: "Proposed to", value: (t) => t.mode ?? "", text: (t) => t.mode ?? "" });
-    if (rows.some((t) => t.warm_start !== null)) columns.push({ key: "warm_start", head: "Starts from", num: true, value: (t) => t.warm_start, text: (t) => (t.warm_start === null ? "" : element("a", { href: this.#address(t.warm_start), textContent: t.warm_start })) });
-    columns.push(
-      { key: "samples", head: "Samples", num: true, value: (t) => t.samples, text: (t) => amount(t.samples) },
-      { key: "seconds", head: "Time", num: true, value: (t) => t.seconds, text: (t) => duration(t.seconds) },
-      { key: "attempts", head: "Attempts", num: true, value: (t) => t.attempts, text: (t) => String(t.attempts) },
-    );
-    return columns;
-  }
+  shown() { return this.columns().filter((column) => (column.rare ? this.chosen.has(column.key) : !this.hidden.has(column.key))); }
 
+  get sort() { return { key: this.rows.sort.replace(/^-/, ""), down: this.rows.sort.startsWith("-") }; }
+
+  // Columns, order or filter have changed.
   draw() {
-    const columns = this.columns();
-    this.shown = columns.filter((column) => !this.hidden.has(column.key));
-    const by = columns.find((column) => column.key === this.sort.key) ?? columns[0];
-    const rows = this.trials.all().filter(this.filter);
-    const sign = this.sort.down ? -1 : 1;
-    rows.sort((a, b) => {
-      const [x, y] = [by.value(a), by.value(b)];
-      if (x === y) return b.number - a.number;
-      if (x === null) return 1;
-      if (y === null) return -1;
-      return x < y ? -sign : sign;
-    });
-    this.#visible = rows;
-    const head = this.shown.map((column) => {
-      const th = element("th", { textContent: column.head, className: column.num ? "num" : "", dataset: { sort: column.key }, tabIndex: 0, scope: "col" });
-      if (column.key === by.key) th.setAttribute("aria-sort", this.sort.down ? "descending" : "ascending");
-      const turn = () => { this.sort = { key: column.key, down: column.key === this.sort.key ? !this.sort.down : column.num }; this.onSort?.(); this.draw(); };
-      th.onclick = turn;
-      th.onkeydown = (event) => { if (event.key === "Enter") turn(); };
-      return th;
-    });
-    const signature = this.shown.map((column) => column.key + column.head).join() + this.sort.key + this.sort.down;
+    const shown = (this.shownColumns = this.shown());
+    const signature = shown.map((column) => column.key + column.head).join() + this.rows.sort;
     if (signature !== this.signature) {
       this.signature = signature;
-      this.table.tHead.replaceChildren(element("tr", {}, ...head));
+      this.#drawn.clear();
+      this.table.tHead.replaceChildren(element("tr", {}, ...shown.map((column) => this.#head(column))));
+      this.cols.replaceChildren(...shown.map(() => element("col")));
+      for (const column of shown) this.#measure(column, `${column.head} ↓`);
     }
-    this.table.setAttribute("aria-rowcount", rows.length + 1);
     this.#soon();
+  }
+
+  #head(column) {
+    const { key, down } = this.sort;
+    const th = element("th", { textContent: column.head, title: column.head, className: column.num ? "num" : "", dataset: { sort: column.key }, tabIndex: 0, scope: "col" });
+    if (column.key === key) th.setAttribute("aria-sort", down ? "descending" : "ascending");
+    const turn = () => {
+      this.order(column.key === key ? (down ? "" : "-") + key : (column.num ? "-" : "") + column.key);
+      this.table.tHead.querySelector(`[data-sort="${CSS.escape(column.key)}"]`)?.focus({ preventScroll: true });
+    };
+    th.onclick = turn;
+    th.onkeydown = (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); turn(); } };
+    return th;
+  }
+
+  order(sort) {
+    this.rows.ask({ sort });
+    this.at.scrollTop = 0;
+    this.draw();
+    this.onChange();
+  }
+
+  // The columns that only rows tell: parameters outside the space, named results, messages.
+  #told() {
+    const { parameters, details, troubled } = this.known;
+    const before = parameters.length + details.length + Number(troubled);
+    for (let index = 0; index < Math.min(this.rows.matched ?? 0, 100); index++) {
+      const trial = this.rows.row(index);
+      if (!trial) continue;
+      for (const name of Object.keys(trial.params)) if (!(name in this.context.space) && !parameters.includes(name)) parameters.push(name);
+      for (const [name, value] of Object.entries(trial.details)) if (!details.some((one) => one.name === name)) details.push({ name, num: typeof value === "number" });
+      if (trial.message) this.known.troubled = true;
+    }
+    if (parameters.length + details.length + Number(this.known.troubled) !== before || !this.signature) this.draw();
+    else this.#soon();
+    this.onTold?.();
+  }
+
+  // A column is as wide as the widest that was seen in it: it may grow, and never swings while somebody scrolls.
+  #measure(column, text) {
+    this.#pen.font = this.font ??= `550 ${getComputedStyle(document.body).fontSize} ${getComputedStyle(document.body).fontFamily}`;
+    const width = Math.min(WIDEST, Math.ceil(this.#pen.measureText(text).width) + PADDING);
+    if (width > (this.#widths.get(column.key) ?? 0)) { this.#widths.set(column.key, width); this.wider = true; }
   }
 
   #soon() {
@@ -105,28 +108,76 @@ export class TrialTable {
   }
 
   #rows() {
+    const { rows, shownColumns: shown } = this;
+    if (!shown) return;
     const body = this.table.tBodies[0];
-    const rows = this.#visible;
-    if (!this.shown) return;
-    if (!rows.length) {
-      const text = this.trials.rows.size ? "No trial matches the filter." : "No trials yet: the first ones appear here as soon as they are proposed.";
-      body.replaceChildren(element("tr", {}, element("td", { className: "empty", colSpan: this.shown.length, textContent: text })));
+    const count = rows.matched;
+    this.table.setAttribute("aria-rowcount", (count ?? 0) + 1);
+    if (!count) {
+      if (count === null && !rows.problem) return;
+      const text = rows.problem || (rows.count ? "No trial matches the filter." : "No trials yet: the first ones appear here as soon as they are proposed.");
+      this.#drawn.clear();
+      this.#widen(shown);
+      body.replaceChildren(element("tr", {}, element("td", { className: "empty", colSpan: shown.length, textContent: text })));
       return;
     }
-    const first = Math.max(0, Math.min(Math.floor(this.at.scrollTop / ROW) - SPARE, rows.length - 1));
-    const last = Math.min(rows.length, first + Math.ceil((this.at.clientHeight || 600) / ROW) + 2 * SPARE);
-    const gap = (height) => {
-      const cell = element("td", { colSpan: this.shown.length });
-      cell.style.height = `${height}px`;
-      return element("tr", { className: "gap", "aria-hidden": "true" }, cell);
-    };
-    const made = rows.slice(first, last).map((trial, index) => element(
-      "tr", { dataset: { number: trial.number }, "aria-rowindex": first + index + 2, className: trial.number === this.lit ? "lit" : "" },
-      ...this.shown.map((column) => element("td", { className: column.num ? "num" : "" }, column.text(trial))),
-    ));
+    const first = Math.max(0, Math.min(Math.floor(this.at.scrollTop / ROW) - SPARE, count - 1));
+    const last = Math.min(count, first + Math.ceil((this.at.clientHeight || 600) / ROW) + 2 * SPARE);
+    rows.want(first, last);
     const focused = body.contains(document.activeElement) ? document.activeElement.closest("tr")?.dataset.number : null;
-    body.replaceChildren(...(first ? [gap(first * ROW)] : []), ...made, ...(last < rows.length ? [gap((rows.length - last) * ROW)] : []));
-    if (focused) body.querySelector(`tr[data-number="${focused}"] a`)?.focus({ preventScroll: true });
+    this.#gap(0, first, shown);
+    this.#gap(1, count - last, shown);
+    if (this.gaps[0].parentNode !== body) { body.replaceChildren(...this.gaps); this.#drawn.clear(); }
+    // Rows that stay are left where they are; what left the view goes, what came into it is put between.
+    for (const [index, { tr }] of this.#drawn) if (index < first || index >= last) { tr.remove(); this.#drawn.delete(index); }
+    let next = this.gaps[0].nextSibling;
+    for (let index = first; index < last; index++) {
+      const trial = rows.row(index);
+      let known = this.#drawn.get(index);
+      if (!known || known.trial !== trial || known.signature !== this.signature) {
+        const tr = this.#row(index, trial, shown);
+        if (known) { if (known.tr === next) next = tr; known.tr.replaceWith(tr); }
+        known = { tr, trial, signature: this.signature };
+        this.#drawn.set(index, known);
+      }
+      if (known.tr === next) next = next.nextSibling;
+      else body.insertBefore(known.tr, next);
+    }
+    while (next && next !== this.gaps[1]) { const old = next; next = next.nextSibling; old.remove(); }
+    this.#widen(shown);
+    if (focused && document.activeElement === document.body) body.querySelector(`tr[data-number="${focused}"] a`)?.focus({ preventScroll: true });
+  }
+
+  #gap(which, rows, shown) {
+    const [cell] = this.gaps[which].cells;
+    cell.colSpan = shown.length;
+    cell.style.height = `${rows * ROW}px`;
+    this.gaps[which].hidden = rows === 0;
+  }
+
+  #row(index, trial, shown) {
+    // Not loaded yet: a row of its height, so that nothing moves when it comes.
+    if (!trial) return element("tr", { className: "coming", "aria-rowindex": index + 2 }, element("td", { colSpan: shown.length, textContent: "…" }));
+    return element("tr", { dataset: { number: trial.number }, "aria-rowindex": index + 2, className: trial.number === this.lit ? "lit" : "" }, ...shown.map((column) => {
+      const text = column.text(trial);
+      this.#measure(column, text);
+      const cell = element("td", { className: column.num ? "num" : "" }, column.cell ? column.cell(trial) : text);
+      if (text.length > 40) cell.title = text;
+      return cell;
+    }));
+  }
+
+  #widen(shown) {
+    if (!this.wider && this.widened === this.signature) return;
+    this.wider = false;
+    this.widened = this.signature;
+    let all = 0;
+    for (const [index, column] of shown.entries()) {
+      const width = this.#widths.get(column.key) ?? 60;
+      all += width;
+      this.cols.children[index].style.width = `${width}px`;
+    }
+    this.table.style.minWidth = `${all}px`;
   }
 
   light(number) {

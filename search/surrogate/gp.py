@@ -21,7 +21,7 @@ JITTERS = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
 
 
 class IllConditioned(UserWarning):
-    """A correlation matrix needed more jitter than rounding explains."""
+    """A correlation matrix needed more jitter than rounding explains, or hyperparameters could not be fitted."""
 
 
 def scaled_distance(A: Array, B: Array, w: Array) -> Array:

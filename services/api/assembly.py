@@ -13,6 +13,7 @@ from services.api.live import Hub
 from services.api.looks import Looks
 from services.api.service import Artifacts, Service, Submit, halma_version
 from services.api.tables import FinishedTrials
+from services.api.windows import Finder
 from services.auth import Gatekeeper
 from services.store.port import Store
 
@@ -59,6 +60,7 @@ def create_api(
         on_change or (lambda: None),
         Hub(store),
         trials,
+        Finder(store, trials),
         Looks(store, trials),
         dict(pools or {}),
     )

@@ -11,6 +11,8 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from services.amending import AMENDABLE
+from services.stages import most_trials
 from services.states import AttemptState, StudyState, TrialState
 from services.store.port import ArtifactRow, AttemptRow, EventRow, MetricRow, ProposalRow, StudyRow, TrialRow
 
@@ -47,7 +49,7 @@ class StudySummary(Model):
     strategy: str
     pool: str
     priority: int
-    target_trials: int | None
+    target_trials: int | None = Field(description="at most so many trials, those of later stages among them")
     target_cost: float | None
     trials: dict[str, int] = Field(description="number of trials in each state")
     cost: Cost
@@ -69,7 +71,7 @@ class StudySummary(Model):
             strategy=strategy_name(row.spec),
             pool=row.pool,
             priority=row.priority,
-            target_trials=row.target_trials,
+            target_trials=most_trials(row),
             target_cost=row.target_cost,
             trials=dict(row.counts),
             cost=Cost(samples=row.samples, seconds=row.seconds),
@@ -343,6 +345,15 @@ class Extension(Model):
     trials: Annotated[int, Field(ge=0, le=10**9)] = 0
     cost: Annotated[float, Field(ge=0, allow_inf_nan=False, le=1e18)] = Field(
         default=0.0, description="simulation samples"
+    )
+
+
+class Amendment(Model):
+    """How a study is to be run from now on."""
+
+    fields: Annotated[dict[str, JsonValue], Field(min_length=1, max_length=len(AMENDABLE))] = Field(
+        description=f"values by dotted name: {', '.join(AMENDABLE)}",
+        examples=[{"priority": 5, "resources.pool": "gpu"}],
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from itertools import accumulate
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
@@ -13,8 +12,10 @@ from pydantic import Field
 
 from services.api.models import Model
 from services.api.service import Uses
+from services.course import answers, course
 from services.errors import UnknownStudy
-from services.states import StudyState, TrialState
+from services.stages import most_trials
+from services.states import StudyState
 from services.store.port import StudyRow, TrialRow
 
 router = APIRouter(prefix="/api/v1")
@@ -85,7 +86,7 @@ def pulse(
         pulses.append(
             Pulse(
                 study=row.name,
-                best=course(history),
+                best=spark(history),
                 distinct=counts.of(history_id, row, history),
                 samples_per_second=rate,
                 seconds_left=left,
@@ -94,10 +95,9 @@ def pulse(
     return Pulses(pulses=pulses)
 
 
-def course(history: Sequence[TrialRow]) -> list[float]:
-    """Best value so far after each complete trial, thinned evenly; the last one always among them."""
-    values = [t.value for t in history if t.state is TrialState.COMPLETE and t.value is not None]
-    best = list(accumulate(values, max))
+def spark(history: Sequence[TrialRow]) -> list[float]:
+    """Best value so far after each answer, thinned evenly; the last one always among them."""
+    best = [step.best for step in course(history) if answers(step.trial) and step.best is not None]
     if len(best) <= POINTS:
         return best
     return [best[round(i * (len(best) - 1) / (POINTS - 1))] for i in range(POINTS)]
@@ -118,8 +118,8 @@ def pace(row: StudyRow, history: Sequence[TrialRow], now: float) -> tuple[float 
     span = max(now - began, 1e-3)
     samples = sum(trial.samples for trial in recent)
     left = []
-    if row.target_trials:
-        left.append(max(row.target_trials - len(history), 0) * span / len(recent))
+    if most := most_trials(row):
+        left.append(max(most - len(history), 0) * span / len(recent))
     if row.target_cost and samples:
         left.append(max(row.target_cost - row.samples, 0.0) * span / samples)
     return samples / span, min(left, default=None)

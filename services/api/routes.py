@@ -12,8 +12,10 @@ from fastapi.responses import StreamingResponse
 from pydantic import Field
 from sqlalchemy.engine import make_url
 
+from services.amending import checked
 from services.api.errors import NotHere
 from services.api.models import (
+    Amendment,
     ArtifactOut,
     AttemptOut,
     ErrorOut,
@@ -36,8 +38,8 @@ from services.api.models import (
     TrialWindow,
 )
 from services.api.service import Uses, halma_version
-from services.api.tables import csv_lines, table
-from services.api.windows import matching, ordered
+from services.api.tables import csv_columns, csv_lines, table
+from services.api.windows import reader
 from services.errors import BadInput
 from services.states import TrialState
 from services.store.port import TrialRow
@@ -61,6 +63,18 @@ router = APIRouter(prefix="/api/v1", responses=ERRORS)
 Study = Annotated[str, Path(max_length=255, description="name of the study")]
 Number = Annotated[int, Path(ge=0, le=LARGEST_ID, description="number of the trial within its study")]
 Limit = Annotated[int, Query(ge=1, le=1000, description="at most so many")]
+Sort = Annotated[
+    str, Query(max_length=200, description="a field, with - before it descending; e.g. -value, params.rate")
+]
+States = Annotated[list[TrialState] | None, Query(description="only trials in these states")]
+Where = Annotated[
+    list[Annotated[str, Field(max_length=300)]] | None,
+    Query(max_length=16, description="FIELD OPERATOR VALUE, all of which must hold; e.g. value>=0.5, message~NaN"),
+]
+Columns = Annotated[
+    list[Annotated[str, Field(max_length=200)]] | None,
+    Query(max_length=400, description="only these fields, in this order; e.g. number, value, params.rate"),
+]
 AfterEvent = Annotated[int, Query(ge=0, le=LARGEST_ID, description="cursor: the newest event already known")]
 
 MEDIA_TYPES = {".png": "image/png", ".json": "application/json", ".gif": "image/gif", ".mp4": "video/mp4"}
@@ -101,6 +115,17 @@ def submit(service: Uses, submission: Submission) -> StudyOut:
 @router.get("/studies/{study}", tags=["studies"])
 def one_study(service: Uses, study: Study) -> StudyOut:
     """A study with its spec."""
+    return StudyOut.of(service.store.study(study))
+
+
+@router.patch("/studies/{study}", tags=["actions"])
+def amend(service: Uses, study: Study, amendment: Amendment) -> StudyOut:
+    """Change how a study is run: its priority, share, pool, width, retries. A running study follows at once."""
+    row = service.store.study(study)
+    fields = checked(row, amendment.fields)
+    with service.store.transaction() as change:
+        change.amend(study, fields)
+    service.changed()
     return StudyOut.of(service.store.study(study))
 
 
@@ -160,28 +185,21 @@ def trials(
 def trial_window(
     service: Uses,
     study: Study,
-    sort: Annotated[
-        str, Query(max_length=200, description="a field, with - before it descending; e.g. -value, params.rate")
-    ] = "number",
-    state: Annotated[list[TrialState] | None, Query(description="only trials in these states")] = None,
-    where: Annotated[
-        list[Annotated[str, Field(max_length=300)]] | None,
-        Query(max_length=16, description="FIELD OPERATOR VALUE, all of which must hold; e.g. value>=0.5, message~NaN"),
-    ] = None,
+    sort: Sort = "number",
+    state: States = None,
+    where: Where = None,
     offset: Annotated[int, Query(ge=0, le=LARGEST_ID, description="rows before the first one wanted")] = 0,
     limit: Limit = 100,
 ) -> TrialWindow:
     """The rows of a table that a screen shows: filtered and sorted here, so that 50,000 trials stay where they are."""
-    cursor, history = service.store.last_event(), service.store.history_id()
-    trials = service.trials.all_trials(service.store.study(study))
-    found = ordered(matching(trials, state, where or []), sort)
+    found = service.finder.find(service.store.study(study), sort, state, where or [])
     return TrialWindow(
-        cursor=cursor,
-        history=history,
-        count=len(trials),
-        matched=len(found),
+        cursor=found.cursor,
+        history=found.history,
+        count=found.count,
+        matched=len(found.trials),
         offset=offset,
-        trials=[TrialOut.of(trial) for trial in found[offset : offset + limit]],
+        trials=[TrialOut.of(trial) for trial in found.trials[offset : offset + limit]],
     )
 
 
@@ -196,12 +214,21 @@ def trial_table(service: Uses, study: Study) -> Response:
 
 
 @router.get("/studies/{study}/trials.csv", tags=["trials"], response_class=StreamingResponse)
-def trials_csv(service: Uses, study: Study) -> StreamingResponse:
-    """All trials as CSV."""
+def trials_csv(
+    service: Uses,
+    study: Study,
+    sort: Sort = "number",
+    state: States = None,
+    where: Where = None,
+    column: Columns = None,
+) -> StreamingResponse:
+    """Trials as CSV: all of them, or those that pass, with all columns or the chosen ones."""
     row = service.store.study(study)
-    rows = service.trials.all_trials(row)
+    rows = service.finder.find(row, sort, state, where or []).trials
+    features = {f"features.{i}": name for i, name in enumerate((row.spec.get("behaviour") or {}).get("names", ()))}
+    chosen = [(features.get(name, name), reader(name, "column")) for name in column or []]
     return StreamingResponse(
-        csv_lines(rows),
+        csv_columns(rows, chosen) if chosen else csv_lines(rows),
         media_type="text/csv; charset=utf-8",
         headers={"content-disposition": f'attachment; filename="{_file_name(row.name)}.csv"'},
     )

@@ -13,6 +13,7 @@ from fastapi.requests import HTTPConnection
 from services.api.live import Hub
 from services.api.looks import Looks
 from services.api.tables import FinishedTrials
+from services.api.windows import Finder
 from services.store.port import ArtifactRow, Store, StudyRow
 
 
@@ -41,6 +42,7 @@ class Service:
         on_change: called after something was asked for, so that a driver need not poll fast.
         hub: live events.
         trials: the finished trials of the studies last asked for.
+        finder: sorts and filters trials.
         looks: what searches have learnt.
         pools: cores by worker pool; empty where this server doesn't know them.
     """
@@ -51,6 +53,7 @@ class Service:
     on_change: Callable[[], None]
     hub: Hub
     trials: FinishedTrials
+    finder: Finder
     looks: Looks
     pools: Mapping[str, int]
 

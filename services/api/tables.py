@@ -11,7 +11,7 @@ import io
 import json
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import datetime
 
 from services.api.models import TrialTable
@@ -94,21 +94,38 @@ def table(trials: Sequence[TrialRow], *, cursor: int, history: str) -> TrialTabl
 def csv_lines(trials: Sequence[TrialRow]) -> Iterator[str]:
     """Trials as CSV with a header, one line each. Numbers keep every bit; a list is written as JSON."""
     names = parameter_names(trials)
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow([
+    header = [
         "number", "stage", "state", "z", "value", "features", "samples", "seconds", "attempts", "warm_start", "seed",
         "started_at", "finished_at", "message", *(f"params.{name}" for name in names),
-    ])  # fmt: skip
-    for trial in trials:
-        writer.writerow([
-            trial.number, trial.stage, trial.state.value, trial.z, trial.value,
-            "" if trial.features is None else json.dumps(list(trial.features)),
-            trial.samples, trial.seconds, trial.attempts, trial.warm_start, trial.seed,
-            trial.started_at.isoformat() if trial.started_at else "",
-            trial.finished_at.isoformat() if trial.finished_at else "",
-            unspreadsheet(trial.message), *(unspreadsheet(trial.params.get(name)) for name in names),
-        ])  # fmt: skip
+    ]  # fmt: skip
+    return _lines(header, ([
+        trial.number, trial.stage, trial.state.value, trial.z, trial.value,
+        "" if trial.features is None else json.dumps(list(trial.features)),
+        trial.samples, trial.seconds, trial.attempts, trial.warm_start, trial.seed,
+        trial.started_at.isoformat() if trial.started_at else "",
+        trial.finished_at.isoformat() if trial.finished_at else "",
+        unspreadsheet(trial.message), *(unspreadsheet(trial.params.get(name)) for name in names),
+    ] for trial in trials))  # fmt: skip
+
+
+def csv_columns(
+    trials: Sequence[TrialRow], columns: Sequence[tuple[str, Callable[[TrialRow], object]]]
+) -> Iterator[str]:
+    """Some columns of trials as CSV, each by its name and by what reads it. What is no plain value is JSON."""
+
+    def cell(value: object) -> object:
+        return json.dumps(value) if isinstance(value, dict | list | tuple) else unspreadsheet(value)
+
+    return _lines([name for name, _ in columns], ([cell(read(trial)) for _, read in columns] for trial in trials))
+
+
+def _lines(header: Sequence[str], rows: Iterable[Sequence[object]]) -> Iterator[str]:
+    """Rows as CSV, in pieces of some 64 kB."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow([unspreadsheet(name) for name in header])
+    for row in rows:
+        writer.writerow(row)
         if buffer.tell() > 65536:
             yield buffer.getvalue()
             buffer.seek(0)

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import math
 import re
+import threading
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import eq, ge, gt, le, lt, ne
 from typing import Any
 
+from services.api.tables import FinishedTrials
 from services.errors import BadInput
 from services.states import TrialState
-from services.store.port import TrialRow
+from services.store.port import Store, StudyRow, TrialRow
 
 Reader = Callable[[TrialRow], Any]
 
@@ -33,11 +36,15 @@ FIELDS: dict[str, Reader] = {
     "warm_start": lambda trial: trial.warm_start,
     "message": lambda trial: trial.message,
     "mode": lambda trial: trial.info.get("mode"),
+    "text": lambda trial: f"{trial.state.value} {trial.stage} {trial.info.get('mode', '')} {trial.message}",
     "created_at": lambda trial: trial.created_at.timestamp(),
     "started_at": lambda trial: trial.started_at and trial.started_at.timestamp(),
     "finished_at": lambda trial: trial.finished_at and trial.finished_at.timestamp(),
 }
-"""What can be sorted and filtered by, beside `params.NAME`, `details.NAME` and `features.K`."""
+"""What can be sorted and filtered by, beside `params.NAME`, `details.NAME` and `features.K`; `text` is all words."""
+
+REMEMBERED = 16
+"""Sorted and filtered lists that are kept: many people look at few of them, and each asks again as it scrolls."""
 
 OPERATORS: dict[str, Callable[[Any, Any], bool]] = {"<=": le, ">=": ge, "!=": ne, "=": eq, "<": lt, ">": gt}
 CONDITION = re.compile(r"\s*([^<>=!~]+?)\s*(<=|>=|!=|=|<|>|~)\s*(.*?)\s*", re.DOTALL)
@@ -154,3 +161,53 @@ def _key(value: Any) -> tuple[int, float, str] | None:
     if isinstance(value, int | float):
         return (0, float(value), "")
     return (1, 0.0, str(value))
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A table's rows, all of them.
+
+    Args:
+        cursor: the newest event that they reflect.
+        history: identity of the database's history.
+        count: trials of the study.
+        trials: those that pass, in order.
+    """
+
+    cursor: int
+    history: str
+    count: int
+    trials: Sequence[TrialRow]
+
+
+class Finder:
+    """Sorts and filters the trials of studies, once for everybody who looks at the same. Safe to use from threads.
+
+    Args:
+        store: the trial database.
+        trials: the studies' finished trials.
+    """
+
+    def __init__(self, store: Store, trials: FinishedTrials) -> None:
+        self._store = store
+        self._trials = trials
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[tuple[object, ...], Found] = OrderedDict()
+
+    def find(self, study: StudyRow, sort: str, states: Sequence[TrialState] | None, conditions: Sequence[str]) -> Found:
+        """The trials of a study in these states for which all conditions hold, in order. Raises `BadInput`."""
+        history = self._store.history_id()
+        key = (history, study.id, sort, frozenset(states or ()), tuple(conditions))
+        # One at a time: a hundred viewers of a study that grows would otherwise all sort what one of them sorts.
+        with self._lock:
+            # The cursor first: what happens while the rows are read is then read again, never missed.
+            cursor = self._store.last_event()
+            known = self._kept.pop(key, None)
+            if known is None or known.cursor != cursor:
+                everything = self._trials.all_trials(study)
+                rows = ordered(matching(everything, states, conditions), sort)
+                known = Found(cursor, history, len(everything), rows)
+            self._kept[key] = known
+            while len(self._kept) > REMEMBERED:
+                self._kept.popitem(last=False)
+            return known

@@ -27,6 +27,7 @@ from services.report import (
     value_name,
 )
 from services.spec import ResolvedSpec
+from services.stages import has_stages
 from services.states import StudyState
 from services.store.port import StudyRow
 
@@ -80,6 +81,8 @@ def findings_table(row: StudyRow, found: Sequence[Finding], width: int) -> Rende
         for name in shown_details(found, behaviour)
     ]
     columns += parameter_columns(trials, units_of(row), rank=1)
+    if has_stages(row):
+        columns.append(Column("stage", [trial.stage for trial in trials], left=True))
     columns.append(Column("trial", [str(trial.number) for trial in trials]))
     if behaviour is not None:
         columns.append(Column("also found by", [_others(finding) for finding in found], rank=3, sentences=True))

@@ -14,11 +14,13 @@ from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
+from search.record import SEARCH
 from services.cli.events import metric_words
 from services.cli.session import console, say
 from services.cli.words import count, duration, number, several
 from services.errors import HalmaError
 from services.report import behaviour_of, distinct_trials
+from services.stages import has_stages, most_trials
 from services.states import TrialState
 from services.store.port import Store, StudyRow, TrialRow
 
@@ -115,14 +117,15 @@ class Observer:
 
     def _left(self, row: StudyRow, running: list[TrialRow], rate: float | None) -> float | None:
         """From the mean of the finished trials' times; under a cost budget from the rate."""
-        if row.target_trials is None:
+        most = most_trials(row)
+        if most is None:
             if row.target_cost is None or not rate:
                 return None
             return max(0.0, row.target_cost - row.samples) / rate
         if not self._history:
             return None
         mean = sum(trial.seconds for trial in self._history) / len(self._history)
-        remaining = max(0, row.target_trials - len(self._history))
+        remaining = max(0, most - len(self._history))
         begun = sum(min(trial.seconds, mean) for trial in running)
         return max(0.0, remaining * mean - begun) / max(1, len(running))
 
@@ -133,8 +136,9 @@ def progress_line(snapshot: Snapshot) -> str:
 
 
 def _done(snapshot: Snapshot) -> str:
-    target = snapshot.row.target_trials
-    return f"{count(snapshot.done)}{'' if target is None else f' of {count(target)}'} trials"
+    target = most_trials(snapshot.row)
+    most = "at most " if has_stages(snapshot.row) else ""
+    return f"{count(snapshot.done)}{'' if target is None else f' of {most}{count(target)}'} trials"
 
 
 def _found(snapshot: Snapshot) -> list[str]:
@@ -154,13 +158,14 @@ def running_line(trial: TrialRow, metrics: Mapping[str, Any]) -> str:
     if not trial.iteration:
         return f"trial {trial.number}: starting"
     figures = metric_words(metrics) if metrics else ""
-    words = f"trial {trial.number}: iteration {trial.iteration}, {count(trial.samples)} samples"
+    stage = "" if trial.stage == SEARCH else f" ({trial.stage})"
+    words = f"trial {trial.number}{stage}: iteration {trial.iteration}, {count(trial.samples)} samples"
     return f"{words}, {figures}" if figures else words
 
 
 def picture(snapshot: Snapshot) -> RenderableType:
     """What a terminal shows: a bar, the line, and the running trials."""
-    target = snapshot.row.target_trials
+    target = most_trials(snapshot.row)
     bar = Text()
     if target:
         filled = round(BAR * min(1.0, snapshot.done / target))

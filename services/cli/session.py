@@ -23,6 +23,14 @@ Db = Annotated[
         "--db", metavar="DB", help="Trial database: a SQLite file or a URL.  [default: HALMA_DB, else ~/.halma]"
     ),
 ]
+Artifacts = Annotated[
+    str | None,
+    typer.Option(
+        "--artifacts",
+        metavar="PLACE",
+        help="Where trials' files are: a folder or a URL.  [default: HALMA_ARTIFACTS, else beside the database]",
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
 RayAddress = Annotated[
@@ -33,6 +41,10 @@ RayAddress = Annotated[
         metavar="ADDRESS",
         help="Work on the Ray cluster that this host has joined (HOST:PORT or auto) instead of a local Ray.",
     ),
+]
+
+TakeOver = Annotated[
+    bool, typer.Option("--take-over", help="Take the study from a driver that lives; that one is fenced off.")
 ]
 
 PIPED_WIDTH = 200
@@ -73,13 +85,17 @@ class Session:
 
 
 @contextmanager
-def session(db: str | None) -> Iterator[Session]:
+def session(db: str | None, artifacts: str | None = None) -> Iterator[Session]:
     """Open the trial database for the length of a command.
+
+    Args:
+        db: what `--db` says.
+        artifacts: what `--artifacts` says.
 
     Raises:
         DatabaseUnavailable: it can't be opened.
     """
-    settings = find_settings(db)
+    settings = find_settings(db, artifact_root=artifacts)
     store = open_store(settings.database)
     try:
         yield Session(settings, store, open_artifacts(settings.artifacts))

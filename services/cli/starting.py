@@ -11,10 +11,11 @@ from typing import Annotated
 
 import typer
 
-from services.admission import admit, find, refuse_changes
-from services.cli.driving import drive_here
+from services.admission import admit, apply_changes, changes_of, find
+from services.artifact_root import settle
+from services.cli.driving import drive_here, refuse_driven
 from services.cli.findings import report
-from services.cli.session import AsJson, Db, RayAddress, print_json, say, session
+from services.cli.session import Artifacts, AsJson, Db, RayAddress, TakeOver, print_json, say, session
 from services.errors import BadInput, NameTaken
 from services.problems import BadStudy
 from services.settings import find_settings
@@ -37,25 +38,34 @@ def run(
     overrides: Overrides = None,
     name: NewName = None,
     inline: Annotated[bool, typer.Option("--inline", help="Run trials in this process, without Ray.")] = False,
+    take_over: TakeOver = False,
     cores: Annotated[int | None, typer.Option("--cores", min=1, help="Cores to use; default: all.")] = None,
     ray: RayAddress = None,
     db: Db = None,
+    artifacts: Artifacts = None,
 ) -> None:
     """Run a study here: start it, resume it where it was interrupted, or show it where it is finished."""
     from services.spec_check import check  # noqa: PLC0415 - the search and the task, which take seconds to import
 
     read = read_draft(file, _overridden_by(overrides, name, profile))
     spec = check(read)
-    with session(db) as opened:
+    with session(db, artifacts) as opened:
+        settle(opened.store, opened.artifacts)
         row = find(opened.store, spec.name)
         if row is None:
             admit(opened.store, spec)
         else:
-            refuse_changes(row, read.spec or spec, read.source.origin(("name",)))
+            origin, anew = read.source.origin(("name",)), f"halma run {file} --name NEW"
+            changes = changes_of(row, read.spec or spec, origin, anew)
+            if not take_over:
+                refuse_driven(opened, row)
+            if changes:
+                row = apply_changes(opened.store, row, changes)
+                say(f"{row.name} changes with its file: {'; '.join(changes.words)}")
             if row.state is StudyState.COMPLETE:
                 report(opened, row)
                 return
-        drive_here(opened, spec.name, inline=inline, take_over=False, cores=cores, ray_address=ray)
+        drive_here(opened, spec.name, inline=inline, take_over=take_over, cores=cores, ray_address=ray)
 
 
 def submit(
@@ -108,13 +118,14 @@ def serve(
     ] = None,
     ray: RayAddress = None,
     db: Db = None,
+    artifacts: Artifacts = None,
 ) -> None:
     """Serve the API and the pages, and drive every study that is submitted, until Ctrl-C."""
     from services import serving  # noqa: PLC0415 - the web framework takes a second to import
     from services.ray_environment import prepare  # noqa: PLC0415 - as above
 
     sizes = read_pools(pools or []) or ({"default": os.cpu_count() or 1} if ray is None else None)
-    settings = find_settings(db)
+    settings = find_settings(db, artifact_root=artifacts)
     listen = serving.PORT if port is None else port
 
     @contextmanager

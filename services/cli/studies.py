@@ -7,18 +7,33 @@ from typing import Annotated
 
 import typer
 
+from services.amending import AMENDABLE, SHORT, field_of, read_amendments
+from services.artifact_root import settle
 from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
 from services.cli.findings import findings_table
 from services.cli.matters import matters_of, show_matters
-from services.cli.session import AsJson, Db, RayAddress, Session, console, print_json, print_json_line, say, session
-from services.cli.tables import done_of, fields_table, state_text, studies_table, trials_table
+from services.cli.session import (
+    Artifacts,
+    AsJson,
+    Db,
+    RayAddress,
+    Session,
+    TakeOver,
+    console,
+    print_json,
+    print_json_line,
+    say,
+    session,
+)
+from services.cli.tables import done_of, fields_table, stages_table, state_text, studies_table, trials_table
 from services.cli.words import count, duration, several, state_words, value_of
-from services.driver import this_process
+from services.driver import driving_words, this_process
 from services.errors import BadInput, Refused, StudyDriven, WrongState
 from services.lineage import lineage_words
 from services.listings import event_json, study_json, trial_json
 from services.report import behaviour_of, distinct_trials, units_of
+from services.stages import has_stages, stages_of_study
 from services.states import LIVE_STUDY, OBSERVED_TRIAL, StudyState, TrialState
 from services.store.port import StudyRow
 
@@ -58,7 +73,8 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         every = opened.store.trials(row.id)
     matters = matters_of(row, every)
     if as_json:
-        print_json({**study_json(row, spec=True), **matters.to_json()})
+        stages = {"stages": [stage.to_json() for stage in stages_of_study(row, every)]}
+        print_json({**study_json(row, spec=True), **stages, **matters.to_json()})
         return
     placed = [trial for trial in every if trial.position is not None]
     found = distinct_trials(row, sorted(placed, key=lambda trial: trial.position or 0))
@@ -78,12 +94,16 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         "distinct": several(len(found), "strategy") if behaviour_of(row) else None,
         "cost": f"{count(row.samples)} samples, {duration(row.seconds)} of training",
         "warm starts": lineage,
-        "driven by": f"process {row.driver.pid} on {row.driver.host}" if row.driver else None,
+        "driven by": driving_words(row) if row.driver else None,
         "seed": str(row.seed),
         "created": row.created_at.astimezone().strftime("%Y-%m-%d %H:%M:%S"),
         "finished": row.finished_at.astimezone().strftime("%Y-%m-%d %H:%M:%S") if row.finished_at else None,
     }
     console().print(fields_table({name: value for name, value in fields.items() if value is not None}))
+    if has_stages(row):
+        say()
+        screen = console()
+        screen.print(stages_table(stages_of_study(row, every), screen.width))
     if found:
         say()
         screen = console()
@@ -211,21 +231,47 @@ def extend(
         print_json(study_json(row))
         return
     budget = [several(row.target_trials, "trial")] if row.target_trials is not None else []
+    if budget and has_stages(row):
+        budget[0] += " of the search"
     budget += [f"{count(row.target_cost)} samples"] if row.target_cost is not None else []
     say(f"{name} now has a budget of {' and '.join(budget)}." + ("" if driven else f" Go on: halma resume {name}"))
+
+
+def set_fields(
+    name: StudyName,
+    fields: Annotated[
+        list[str], typer.Argument(metavar="FIELD=VALUE...", help=f"Fields: {', '.join((*SHORT, *AMENDABLE))}.")
+    ],
+    db: Db = None,
+    as_json: AsJson = False,
+) -> None:
+    """Change how a study is run: its priority, share, pool, width, retries. A running study follows at once.
+
+    For example: halma set STUDY priority=5 pool=gpu
+    """
+    with session(db) as opened:
+        before = opened.store.study(name)
+        asked = read_amendments(before, fields)
+        with opened.store.transaction() as change:
+            row = change.amend(name, asked)
+    if as_json:
+        print_json(study_json(row, spec=True))
+        return
+    for field in asked:
+        was, now = (value_of(field_of(each.spec, field)) for each in (before, row))
+        say(f"{name}: {field} is {now}" + ("" if was == now else f" (it was {was})"))
 
 
 def resume(
     name: StudyName,
     inline: Annotated[bool, typer.Option("--inline", help="Run trials in this process, without Ray.")] = False,
-    take_over: Annotated[
-        bool, typer.Option("--take-over", help="Take the study from a driver that seems to live.")
-    ] = False,
+    take_over: TakeOver = False,
     ray: RayAddress = None,
     db: Db = None,
+    artifacts: Artifacts = None,
 ) -> None:
     """Go on with a study that was paused, interrupted, cancelled or extended."""
-    with session(db) as opened:
+    with session(db, artifacts) as opened:
         row = opened.store.study(name)
         if row.state is StudyState.COMPLETE:
             done = sum(row.counts.get(state.value, 0) for state in OBSERVED_TRIAL)
@@ -233,4 +279,5 @@ def resume(
                 f"resume: expected a study with budget left, found {name} complete after {several(done, 'trial')}; "
                 f"look at it with `halma show {name}`, or give it more with `halma extend {name} --trials 10`"
             )
+        settle(opened.store, opened.artifacts)
         drive_here(opened, name, inline=inline, take_over=take_over, ray_address=ray)

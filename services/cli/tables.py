@@ -9,9 +9,11 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from search.record import SEARCH
 from services.cli.layout import Column, fitted
 from services.cli.words import count, duration, first_line, value_of
 from services.spec import Behaviour
+from services.stages import StageProgress, has_stages, most_trials
 from services.store.port import StudyRow, TrialRow
 
 STATE_STYLES: Mapping[str, str] = {
@@ -23,6 +25,8 @@ STATE_STYLES: Mapping[str, str] = {
     "diverged": "magenta",
     "failed": "red",
     "cancelled": "dim",
+    "waiting": "dim",
+    "over": "green",
 }
 
 MOST_COLUMNS = 8
@@ -38,7 +42,8 @@ def done_of(row: StudyRow) -> str:
     """Finished trials of those wanted: `12 of 20`."""
     open_trials = row.counts.get("queued", 0) + row.counts.get("running", 0)
     done = sum(row.counts.values()) - open_trials - row.counts.get("cancelled", 0)
-    return count(done) if row.target_trials is None else f"{count(done)} of {count(row.target_trials)}"
+    most = most_trials(row)
+    return count(done) if most is None else f"{count(done)} of {'at most ' if has_stages(row) else ''}{count(most)}"
 
 
 def studies_table(rows: Sequence[StudyRow], width: int) -> RenderableType:
@@ -104,10 +109,12 @@ def trials_table(
 ) -> RenderableType:
     """`halma trials`."""
     with_z = any(trial.z is not None for trial in rows)
+    with_stages = any(trial.stage != SEARCH for trial in rows)
     with_parents = any(trial.warm_start is not None for trial in rows)
     return fitted(
         [
             Column("trial", [str(trial.number) for trial in rows]),
+            *([Column("stage", [trial.stage for trial in rows], left=True)] if with_stages else []),
             Column("state", [state_text(trial.state.value) for trial in rows], left=True),
             Column("value", [value_of(trial.value) for trial in rows]),
             *feature_columns(rows, behaviour),
@@ -118,6 +125,25 @@ def trials_table(
             Column("time", [duration(trial.seconds) for trial in rows], rank=3),
             Column("tries", [str(trial.attempts) for trial in rows], rank=5),
             Column("note", [first_line(trial.message) for trial in rows], rank=1, sentences=True),
+        ],
+        width,
+    )
+
+
+def stages_table(stages: Sequence[StageProgress], width: int) -> RenderableType:
+    """The stages of a study, in the order in which they follow each other."""
+    return fitted(
+        [
+            Column("stage", [stage.name for stage in stages], left=True),
+            Column("kind", [stage.kind for stage in stages], left=True),
+            Column("after", [", ".join(stage.after) or "-" for stage in stages], left=True),
+            Column("state", [state_text(stage.state) for stage in stages], left=True),
+            Column("trials", [f"{count(stage.done)} of at most {count(stage.most)}" for stage in stages]),
+            Column("running", [count(stage.running) for stage in stages], rank=2),
+            Column("new strategies", [count(stage.new) for stage in stages]),
+            Column("best", [value_of(stage.best) for stage in stages]),
+            Column("samples", [count(stage.samples) for stage in stages], rank=3),
+            Column("training", [duration(stage.seconds) for stage in stages], rank=1),
         ],
         width,
     )

@@ -19,6 +19,17 @@ def several(number: int, thing: str) -> str:
     return f"{count(number)} {thing if number == 1 else plural}"
 
 
+def file_size(size: float) -> str:
+    """0 B, 999 B, 12.3 kB, 4.56 MB: powers of 1,000, as disks are sold."""
+    if size < 1000:
+        return f"{size:.0f} B"
+    for unit in ("kB", "MB", "GB"):
+        size /= 1000
+        if size < 999.5:
+            return f"{size:.3g} {unit}"
+    return f"{size / 1000:,.3g} TB"
+
+
 def duration(seconds: float) -> str:
     """45 s, 3 min 20 s, 2 h 5 min."""
     whole = round(seconds)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import deque
 
 from services.artifacts import ArtifactStore
 from services.dispatch.port import Assignment, Deliver, Message
 from services.dispatch.runtime import Attempt
+from services.errors import StorageUnavailable
 
 IDLE_SECONDS = 0.02
 """How long a poll with nothing to run waits, so that a caller in a loop doesn't spin."""
@@ -64,6 +66,10 @@ class InlineDispatcher:
             self._running.run()
         finally:
             self._running = None
+
+    def drop_checkpoints(self, study_key: str, trial: int) -> None:
+        with contextlib.suppress(StorageUnavailable):  # `halma gc` will find them
+            self._artifacts.drop_checkpoints(study_key, trial)
 
     def close(self) -> None:
         self._waiting.clear()

@@ -185,5 +185,8 @@ class Dispatcher(Protocol):
     def poll(self, deliver: Deliver, timeout: float) -> None:
         """Wait up to `timeout` seconds for messages and deliver them, together where they arrived together."""
 
+    def drop_checkpoints(self, study_key: str, trial: int) -> None:
+        """Remove the checkpoints of a trial that has ended, some time soon; what fails is left to `halma gc`."""
+
     def close(self) -> None:
         """End all workers."""

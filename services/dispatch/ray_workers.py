@@ -20,6 +20,7 @@ from typing import Any
 import ray
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
+from services.artifacts import open_artifacts
 from services.dispatch.hosts import DEFAULT_POOL, Hosts, best_fit, pool_resource
 from services.dispatch.port import (
     Assignment,
@@ -34,6 +35,7 @@ from services.dispatch.port import (
 )
 from services.dispatch.relay import Keeper, artifacts_here, start_keeper
 from services.dispatch.runtime import Attempt
+from services.dispatch.sweeper import Sweeper
 from services.shipping import Bundle, collect, unpack
 
 Mailbox = Any
@@ -142,6 +144,7 @@ class RayDispatcher:
     _sent: dict[str, Any] = field(default_factory=dict)
     """Bundles in the object store, by hash."""
     _keeper: Keeper | None = None
+    _sweeper: Sweeper | None = None
 
     def put(self, text: str) -> None:
         """A message has arrived. Called from the mailbox's thread."""
@@ -299,8 +302,15 @@ class RayDispatcher:
         if slot.host != self.head:
             self.hosts.doubt(slot.host)
 
+    def drop_checkpoints(self, study_key: str, trial: int) -> None:
+        if self._sweeper is None:
+            self._sweeper = Sweeper(open_artifacts(self.artifact_root))
+        self._sweeper.drop(study_key, trial)
+
     def close(self) -> None:
         self.hosts.close()
+        if self._sweeper is not None:
+            self._sweeper.close()
         for slot in [*self._busy.values(), *(slot for slots in self._idle.values() for slot in slots)]:
             ray.kill(slot.actor)
         self._busy.clear()

@@ -12,7 +12,7 @@ from typing import Any
 
 import ray
 
-from services.artifacts import ArtifactStore, open_artifacts
+from services.artifacts import ArtifactStore, StoredFile, open_artifacts
 from services.errors import ArtifactDamaged, BadInput, StorageUnavailable
 from services.store.port import ArtifactRow, NewArtifact
 
@@ -53,9 +53,9 @@ class KeeperActor:
         """See `ArtifactStore.drop_checkpoints`."""
         self._artifacts.drop_checkpoints(study_key, trial)
 
-    def paths(self) -> list[str]:
-        """See `ArtifactStore.paths`."""
-        return list(self._artifacts.paths())
+    def files(self) -> list[dict[str, Any]]:
+        """See `ArtifactStore.files`; the fields of each."""
+        return [dataclasses.asdict(file) for file in self._artifacts.files()]
 
     def remove(self, path: str) -> None:
         """See `ArtifactStore.remove`."""
@@ -65,9 +65,13 @@ class KeeperActor:
         """See `ArtifactStore.identity`."""
         return self._artifacts.identity()
 
-    def mark(self) -> str:
+    def owner(self) -> str:
+        """See `ArtifactStore.owner`."""
+        return self._artifacts.owner()
+
+    def mark(self, identity: str, owner: str) -> str:
         """See `ArtifactStore.mark`."""
-        return self._artifacts.mark()
+        return self._artifacts.mark(identity, owner)
 
 
 class RelayedArtifacts:
@@ -110,8 +114,11 @@ class RelayedArtifacts:
     def drop_checkpoints(self, study_key: str, trial: int) -> None:
         self._ask("drop_checkpoints", study_key, trial)
 
+    def files(self) -> Iterator[StoredFile]:
+        return (StoredFile(**fields) for fields in self._ask("files"))
+
     def paths(self) -> Iterator[str]:
-        yield from self._ask("paths")
+        return (file.path for file in self.files())
 
     def remove(self, path: str) -> None:
         self._ask("remove", path)
@@ -119,8 +126,11 @@ class RelayedArtifacts:
     def identity(self) -> str:
         return str(self._ask("identity"))
 
-    def mark(self) -> str:
-        return str(self._ask("mark"))
+    def owner(self) -> str:
+        return str(self._ask("owner"))
+
+    def mark(self, identity: str = "", owner: str = "") -> str:
+        return str(self._ask("mark", identity, owner))
 
 
 def start_keeper(root: str, node: str) -> Keeper:

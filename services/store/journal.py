@@ -7,9 +7,11 @@ Events, and what their payload holds (`trial` is the trial's number; studies' ow
 | `created` | study | `study` (name), `target_trials` |
 | `asked` | study | `wanted`, `state` (after it) |
 | `extended` | study | `trials`, `cost` (more of it), `state` |
+| `amended` | study | `changes`: by dotted field, `from` and `to` |
 | `driven` | study | `driver`, `host`, `pid`, `token` |
 | `released` | study | `state`, `reason` |
 | `waiting`, `going_on` | study | `reason`: what a driven study waits for (a full disk); empty when it goes on |
+| `artifacts_placed` | nothing | `identity`, `url` of the artifact root, and what was known before: `was` |
 | `deleted` | study | `study` (name) |
 | `proposed` | study | `proposal` (id), `strategy`, `trials` (numbers) |
 | `started` | trial | `attempt`, `worker`, `host` |
@@ -23,13 +25,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from sqlalchemy import Connection, bindparam, select
+from sqlalchemy import Connection, bindparam, select, update
 
 from services.errors import Refused, UnknownStudy
-from services.store.port import JSON
-from services.store.reads import nearest
-from services.store.rows import STUDY, clean, encode, now
-from services.store.schema import events, studies
+from services.store.port import JSON, ArtifactRoot
+from services.store.reads import ARTIFACT_ROOT, nearest
+from services.store.rows import STUDY, artifact_root, clean, encode, now
+from services.store.schema import events, meta, studies
 
 _STUDY_BY_NAME = select(*STUDY).where(studies.c.name == bindparam("name"))
 _ADD_EVENT = events.insert()
@@ -71,6 +73,20 @@ class Journal:
     def note(self, kind: str, *, study_id: int | None = None, trial: int | None = None, **payload: JSON) -> None:
         """Append an event of another kind."""
         self._append(clean(kind), study_id, trial, payload)
+
+    def place_artifacts(self, root: ArtifactRoot, *, instead_of: str = "") -> ArtifactRoot:
+        """Note where the artifacts are; see the port."""
+        found = self._execute(ARTIFACT_ROOT).scalar_one_or_none()
+        known = None if found is None else artifact_root(found)
+        if known == root or (known is not None and known.identity != instead_of):
+            return known
+        text = encode("the artifact root", {"identity": clean(root.identity), "url": clean(root.url)})
+        if known is None:
+            self._execute(meta.insert(), {"key": "artifact_root", "value": text})
+        else:
+            self._execute(update(meta).where(meta.c.key == "artifact_root"), {"value": text})
+        self._append("artifacts_placed", None, None, {"identity": root.identity, "url": root.url, "was": found})
+        return root
 
     def flush(self) -> None:
         """Write what was collected."""

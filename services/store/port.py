@@ -151,6 +151,14 @@ class NewArtifact:
 
 
 @dataclass(frozen=True, slots=True)
+class ArtifactRoot:
+    """Where the artifacts of a database are: what its root is known by, and where it was last seen."""
+
+    identity: str
+    url: str
+
+
+@dataclass(frozen=True, slots=True)
 class Result:
     """The outcome of an attempt, in the store's words."""
 
@@ -233,6 +241,12 @@ class Change(Protocol):
     def extend(self, name: str, *, trials: int = 0, cost: float = 0.0) -> StudyRow:
         """Raise the targets; a complete study becomes `queued` again."""
 
+    def amend(self, name: str, fields: Mapping[str, JSON]) -> StudyRow:
+        """Change fields of a study's spec, by dotted name; `priority` and `resources.pool` of its row with them.
+
+        Which fields may be changed is the caller's business. The event `amended` says what was and what is.
+        """
+
     def drive(self, name: str, driver: Driver, *, take_over_from: int | None = None) -> int:
         """Become the driver; the study becomes `running`. Returns the new drive token.
 
@@ -306,6 +320,12 @@ class Change(Protocol):
     def cancel_trial(self, trial_id: int, drive_token: int, reason: str) -> TrialRow:
         """An open trial becomes `cancelled`, a running attempt with it. It gets no position."""
 
+    def place_artifacts(self, root: ArtifactRoot, *, instead_of: str = "") -> ArtifactRoot:
+        """Note where the artifacts are, where nothing is known yet or what is known has the identity `instead_of`.
+
+        Returns what is known then: of two that note it at once, the second learns what the first one noted.
+        """
+
     def note(self, kind: str, *, study_id: int | None = None, trial: int | None = None, **payload: JSON) -> None:
         """Append an event of another kind, e.g. `refused`, `warning`."""
 
@@ -357,6 +377,12 @@ class Store(Protocol):
 
     def artifacts(self, trial_id: int) -> list[ArtifactRow]:
         """What a trial left, by name."""
+
+    def study_artifacts(self, study_id: int) -> list[ArtifactRow]:
+        """What all trials of a study left, by trial and name."""
+
+    def artifact_root(self) -> ArtifactRoot | None:
+        """Where the artifacts are; None where no driver has noted it yet."""
 
     def proposals(self, study_id: int) -> list[ProposalRow]:
         """What each proposal saw, in order."""

@@ -12,7 +12,16 @@ from sqlalchemy import Connection, Engine, Select, and_, bindparam, case, func, 
 from services.errors import UnknownStudy, UnknownTrial
 from services.states import TrialState
 from services.store.engine import translated
-from services.store.port import ArtifactRow, AttemptRow, EventRow, MetricRow, ProposalRow, StudyRow, TrialRow
+from services.store.port import (
+    ArtifactRoot,
+    ArtifactRow,
+    AttemptRow,
+    EventRow,
+    MetricRow,
+    ProposalRow,
+    StudyRow,
+    TrialRow,
+)
 from services.store.rows import (
     ARTIFACT,
     ATTEMPT,
@@ -21,6 +30,7 @@ from services.store.rows import (
     PROPOSAL,
     STUDY,
     TRIAL,
+    artifact_root,
     artifact_row,
     attempt_row,
     event_row,
@@ -79,6 +89,12 @@ _METRICS = (
     .order_by(metrics.c.iteration)
 )
 _ARTIFACTS = select(*ARTIFACT).where(artifacts.c.trial_id == bindparam("trial")).order_by(artifacts.c.name)
+_STUDY_ARTIFACTS = (
+    select(*ARTIFACT)
+    .join_from(artifacts, trials, trials.c.id == artifacts.c.trial_id)
+    .where(trials.c.study_id == bindparam("study"))
+    .order_by(trials.c.number, artifacts.c.name)
+)
 _PROPOSALS = select(*PROPOSAL).where(proposals.c.study_id == bindparam("study")).order_by(proposals.c.id)
 _EVENTS = (
     select(*EVENT)
@@ -91,6 +107,7 @@ _STUDY_EVENTS = _EVENTS.where(events.c.study_id == bindparam("study"))
 _LAST_EVENT = select(func.coalesce(func.max(events.c.id), 0))
 _SIZE = select(studies.c.name, studies.c.trial_count).where(studies.c.id == bindparam("study"))
 _HISTORY_ID = select(meta.c.value).where(meta.c.key == "history_id")
+ARTIFACT_ROOT = select(meta.c.value).where(meta.c.key == "artifact_root")
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
@@ -207,6 +224,15 @@ class Reads:
     def artifacts(self, trial_id: int) -> list[ArtifactRow]:
         """What a trial left, by name."""
         return [artifact_row(row) for row in self._rows(_ARTIFACTS, trial=trial_id)]
+
+    def study_artifacts(self, study_id: int) -> list[ArtifactRow]:
+        """What all trials of a study left, by trial and name."""
+        return [artifact_row(row) for row in self._rows(_STUDY_ARTIFACTS, study=study_id)]
+
+    def artifact_root(self) -> ArtifactRoot | None:
+        """Where the artifacts are; None where no driver has noted it yet."""
+        rows = self._rows(ARTIFACT_ROOT)
+        return artifact_root(rows[0][0]) if rows else None
 
     def proposals(self, study_id: int) -> list[ProposalRow]:
         """What each proposal saw, in order."""

@@ -15,6 +15,7 @@ from typing import Any
 from services.states import AttemptState, StudyState, TrialState
 from services.store.port import (
     JSON,
+    ArtifactRoot,
     ArtifactRow,
     AttemptRow,
     Driver,
@@ -205,6 +206,11 @@ def artifact_row(row: Sequence[Any]) -> ArtifactRow:
     """An artifact from its columns, in the order of `ARTIFACT`."""
     id_, trial_id, name, path, sha256, size, created_at = row
     return ArtifactRow(id_, trial_id, name, path, sha256, size, datetime.fromisoformat(created_at))
+
+
+def artifact_root(text: str) -> ArtifactRoot:
+    """Where the artifacts are, from the text in `meta`."""
+    return ArtifactRoot(**json.loads(text))
 
 
 def proposal_row(row: Sequence[Any]) -> ProposalRow:

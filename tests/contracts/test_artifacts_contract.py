@@ -1,21 +1,22 @@
-"""What every artifact store has to do, on a folder and on object storage (fsspec's in-memory one)."""
+"""What every artifact store has to do, on a folder and on object storage (an S3 server, fsspec's memory)."""
 
 from __future__ import annotations
 
 import hashlib
 import os
+import time
 import uuid
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import fsspec
 import pytest
 import ray
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.artifacts import FolderArtifacts, ObjectArtifacts, open_artifacts, study_key
+from services.artifact_names import study_key
+from services.artifacts import FolderArtifacts, ObjectArtifacts, open_artifacts
 from services.dispatch.relay import KeeperActor, RelayedArtifacts, artifacts_here
 from services.errors import ArtifactDamaged, BadInput, StorageUnavailable
 
@@ -46,10 +47,12 @@ def answer(reference):
     return found
 
 
-@pytest.fixture(params=["folder", "memory", "relayed"])
+@pytest.fixture(params=["folder", "memory", "s3", "relayed"])
 def files(request, tmp_path, monkeypatch):
     if request.param == "memory":
         return open_artifacts(f"memory://{uuid.uuid4().hex}/artifacts")
+    if request.param == "s3":
+        return open_artifacts(request.getfixturevalue("s3_root"))
     root = str(tmp_path / "artifacts")
     if request.param == "folder":
         return open_artifacts(root)
@@ -62,7 +65,7 @@ def overwrite(files, path, data):
     if not isinstance(files, ObjectArtifacts):
         Path(files.url, path).write_bytes(data)
     else:
-        fsspec.filesystem("memory").pipe_file(f"{files.url}/{path}", data)
+        files._files.pipe_file(f"{files.url}/{path}", data)
 
 
 def test_each_kind_of_place_has_its_adapter(tmp_path):
@@ -209,6 +212,14 @@ class TestIdentity:
         assert files.mark() == files.identity() == identity
         assert list(files.paths()) == []
 
+    def test_a_root_is_told_whose_it_is(self, files):
+        identity = files.mark()
+        assert files.owner() == ""
+        assert files.mark(owner="history 1") == identity
+        assert (files.identity(), files.owner()) == (identity, "history 1")
+        assert files.mark("another") == "another"
+        assert (files.identity(), files.owner()) == ("another", "history 1")
+
     def test_two_roots_differ(self, files, tmp_path):
         assert files.mark() != open_artifacts(tmp_path / "other").mark()
 
@@ -224,6 +235,29 @@ class TestIdentity:
         for root in ("b", "nothing"):
             assert isinstance(artifacts_here(str(tmp_path / root), identity, keeper=object()), RelayedArtifacts)
         assert isinstance(artifacts_here(str(tmp_path / "b"), identity, keeper=None), FolderArtifacts)
+
+
+class TestListing:
+    def test_every_file_is_listed_with_its_size_and_when_it_was_written(self, files):
+        before = time.time() - 5  # S3 tells whole seconds
+        kept = files.put(KEY, 3, "policy.safetensors", POLICY)
+        checkpoint = files.put_checkpoint(KEY, 3, 1, b"state")
+        files.mark()
+        listed = {file.path: file for file in files.files()}
+        assert {path: file.size for path, file in listed.items()} == {kept.path: 700, checkpoint: 5}
+        assert all(before <= file.modified <= time.time() + 5 for file in listed.values())
+
+    def test_an_unfinished_file_is_listed_and_can_be_removed(self, files):
+        files.put(KEY, 3, "a", b"x")
+        unfinished = f"{KEY}/000003/.writing-0123"
+        overwrite(files, unfinished, b"half")
+        assert unfinished in list(files.paths())
+        files.remove(unfinished)
+        assert unfinished not in list(files.paths())
+
+    def test_a_file_in_a_folder_that_was_emptied_meanwhile_can_be_written(self, files):
+        files.remove(files.put(KEY, 3, "a", b"x").path)
+        assert files.read(files.put(KEY, 3, "a", b"x")) == b"x"
 
 
 class TestObjects:

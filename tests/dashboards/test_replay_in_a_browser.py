@@ -214,7 +214,7 @@ def test_a_walk_has_no_bar_and_shows_the_walkers_own_bodies(browser, service, tm
     run(Job("s", 0, "walker", {"thigh_length": 1.5}, 1, {"steps": 20, "training_steps": 8}, tiny, 0.3), context)
     data = context.artifact("replay.bin")
     walk = Replay.from_bytes(data)
-    Record(service.store, service.artifacts, "walk").begin().one(files={"replay.bin": data})
+    Record(service.store, service.artifacts, "walk").begin().one(files=[("replay.bin", data)])
     page = opened(browser, "/studies/walk/trials/0")
     assert of(page, "stage.bodies.length") == 9
     of(page, "seek(document.querySelector('halma-replay').duration)")

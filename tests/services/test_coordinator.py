@@ -38,6 +38,7 @@ class Scripted:
     stopped: list[int] = field(default_factory=list)
     killed: list[int] = field(default_factory=list)
     over: set[int] = field(default_factory=set)
+    dropped: list[tuple[str, int]] = field(default_factory=list)
 
     def pools(self):
         return {"default": self.size}
@@ -65,6 +66,9 @@ class Scripted:
         if messages:
             deliver(messages)
             self.over |= {m.attempt for m in messages if isinstance(m, Ended | Stopped | Crashed | Vanished)}
+
+    def drop_checkpoints(self, study_key, trial):
+        self.dropped.append((study_key, trial))
 
     def close(self):
         pass
@@ -173,6 +177,41 @@ def test_a_study_ends_when_its_trials_have(world):
     assert [trial.position for trial in world.trials()] == [0, 1, 2]
     assert (row.samples, row.seconds) == (30, 3.0)
     assert world.coordinator.driven() == []
+
+
+def test_checkpoints_are_dropped_once_the_end_of_their_trial_is_on_record(world):
+    world.steps()
+    first, second = world.dispatcher.given
+    drop = world.dispatcher.drop_checkpoints
+    seen = []
+
+    def watched(study_key, trial):
+        seen.append(world.store.trial(world.row.id, trial).state)
+        drop(study_key, trial)
+
+    object.__setattr__(world.coordinator._arrivals, "drop_checkpoints", watched)
+    world.dispatcher.inbox.append(Stopped(second.attempt, second.token))
+    world.dispatcher.end(first)
+    world.steps(1)
+    assert world.dispatcher.dropped == [(f"{world.row.id}-s", 0)], "the one that stopped goes on from its own"
+    assert seen == [TrialState.COMPLETE]
+    with world.store.transaction() as change:
+        change.ask("s", "cancel")
+    world.steps(1)
+    running = [given for given in world.dispatcher.given if given.attempt not in world.dispatcher.over]
+    world.dispatcher.inbox += [Stopped(given.attempt, given.token) for given in running]
+    world.steps(2)
+    assert sorted(trial for _, trial in world.dispatcher.dropped) == [0, 1, 2]
+    assert seen[1:] == [TrialState.CANCELLED] * 2
+
+
+@pytest.mark.parametrize("world", [["keep_checkpoints=true"]], indirect=True, ids=["kept"])
+def test_a_study_may_keep_its_checkpoints(world):
+    world.steps()
+    world.dispatcher.end(world.dispatcher.given[0])
+    world.steps(1)
+    assert world.states()[0] == "complete"
+    assert world.dispatcher.dropped == []
 
 
 def test_a_proposal_logs_what_it_saw(world):
@@ -348,6 +387,55 @@ def test_pause_stops_at_checkpoints_and_the_next_driver_goes_on(world):
     world.steps()
     assert world.attempts(0) == [AttemptState.PREEMPTED, AttemptState.RUNNING]
     assert world.trials()[0].retries == 0
+
+
+def test_a_pause_that_is_taken_back_in_time_only_costs_a_stop(world):
+    world.steps()
+    first, second = world.dispatcher.given
+    ask(world, "pause")
+    world.steps(1)
+    world.dispatcher.inbox.append(Stopped(first.attempt, first.token))
+    world.steps(1)
+    ask(world, "run")
+    world.dispatcher.inbox.append(Stopped(second.attempt, second.token))
+    world.steps(4)
+    row = world.store.study("s")
+    assert (row.state, row.driver is not None) == (StudyState.RUNNING, True)
+    assert world.attempts(0) == world.attempts(1) == [AttemptState.PREEMPTED, AttemptState.RUNNING]
+
+
+def test_an_extension_between_the_last_result_and_the_release_is_not_lost(world):
+    world.steps()
+    for _ in range(2):
+        for given in world.dispatcher.given:
+            if given.attempt not in world.dispatcher.over:
+                world.dispatcher.end(given)
+        world.steps(1)
+    (last,) = [given for given in world.dispatcher.given if given.attempt not in world.dispatcher.over]
+    world.dispatcher.end(last)
+    world.coordinator._control_due = world.clock.now + 60  # it has just looked
+    with world.store.transaction() as change:
+        change.extend("s", trials=2)
+    world.steps(3)
+    assert world.store.study("s").state is StudyState.RUNNING
+    assert world.states() == ["complete"] * 3 + ["running"] * 2
+
+
+def ask(world, wanted):
+    with world.store.transaction() as change:
+        change.ask("s", wanted)
+
+
+def test_a_running_study_follows_what_is_changed_of_it(world):
+    world.steps()
+    with world.store.transaction() as change:
+        change.amend("s", {"resources.parallel": 3, "retries.limit": 0})
+    world.steps()
+    assert [given.trial for given in world.dispatcher.given] == [0, 1, 2]
+    given = world.dispatcher.given[0]
+    world.dispatcher.inbox.append(Vanished(given.attempt, given.token, reason="gone"))
+    world.steps(1)
+    assert world.states()[0] == "failed"
 
 
 def test_a_worker_that_reaches_no_checkpoint_in_time_is_ended(world):

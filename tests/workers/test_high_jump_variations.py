@@ -1,16 +1,19 @@
-"""Variations of the high jump: other gravity, and who must land on the feet."""
+"""Variations of the high jump: other gravity, other athletes, and who must land on the feet."""
 
 import numpy as np
 import pytest
 
 from workers.audit import audit
-from workers.contracts import BadSetting
+from workers.contracts import BadJob, BadSetting
+from workers.physics.athlete import JOINTS, torque_bound
 from workers.physics.world import Contacts, World
 from workers.replay import Recorder, Replay
-from workers.tasks.high_jump import HighJump
+from workers.tasks.high_jump import HighJump, takeoff
 from workers.tasks.high_jump.env import HighJumpEnv
 from workers.tasks.high_jump.rules import Rules
 from workers.tasks.high_jump.settings import HighJumpSettings
+from workers.tasks.high_jump.takeoff import coordinate
+from workers.tasks.high_jump.variations import varied_joints
 
 FLOP = {"alpha": 0.4, "omega_x": -3.0, "omega_z": 1.0, "v_z": -2.4}
 
@@ -70,8 +73,86 @@ def test_a_jump_that_lands_on_the_back_is_a_fall_where_the_feet_are_asked_for(ju
 
 @pytest.mark.parametrize(
     ("settings", "message"),
-    [({"gravity": 0}, "expected a number from 0.5 to 30"), ({"landing": "head"}, "expected any or feet")],
+    [
+        ({"gravity": 0}, "expected a number from 0.5 to 30"),
+        ({"landing": "head"}, "expected any or feet"),
+        ({"cast": "arm"}, "expected none or take_off or swing"),
+        ({"take_off_leg": 0}, "expected a number from 0.1 to 2"),
+    ],
 )
 def test_wrong_variations_are_refused(settings, message):
     with pytest.raises(BadSetting, match=message):
         HighJump().validate(settings, {}, ())
+
+
+def held_still(joints, target, frames=90):
+    """Where the athlete's joints get in free fall while they are told to go to `target` ``[28]``."""
+    world, recorder = World(joints=joints, measure_torque=True), Recorder("right_ankle")
+    world.athlete.place([0, 8, 0], [0, 0, 0, 1])
+    world.athlete.command(target)
+    recorder.start(world)
+    for _ in range(frames):
+        recorder.add(world, world.advance())
+    world.close()
+    return recorder.replay()
+
+
+def bent(joint, angle, axis=0):
+    pose = np.zeros(28)
+    pose[coordinate(joint, axis)] = angle
+    return pose
+
+
+def test_a_spine_that_is_stiff_bends_forward_and_not_back():
+    stiff = varied_joints(1.0, "stiff", "none")
+    at = coordinate("chest", 2)
+    reached = {
+        (name, angle): held_still(joints, bent("chest", angle, 2)).arrays["pose"][-30:, at].mean()
+        for name, joints in (("free", JOINTS), ("stiff", stiff))
+        for angle in (0.6, -0.6)
+    }
+    assert reached["free", 0.6] > 0.4
+    assert abs(reached["stiff", 0.6]) < 0.25
+    assert reached["free", -0.6] < -0.4
+    assert reached["stiff", -0.6] == pytest.approx(reached["free", -0.6], abs=1e-6)
+
+
+def test_a_knee_in_a_cast_stays_straight_whatever_it_is_told():
+    at = coordinate("left_knee")
+    pose = held_still(varied_joints(1.0, "free", "swing"), bent("left_knee", -2.0)).arrays["pose"][:, at]
+    assert pose.min() > -0.3
+    assert held_still(JOINTS, bent("left_knee", -2.0)).arrays["pose"][-1, at] < -1.0
+
+
+def test_a_weak_leg_pushes_with_so_much_less_and_the_audit_knows():
+    weak = varied_joints(0.6, "free", "none")
+    replay = held_still(weak, bent("right_knee", -2.5), frames=12)
+    at = coordinate("right_knee")
+    assert np.abs(replay.arrays["torque"][:, at]).max() == pytest.approx(0.6 * 200.0, rel=1e-3)
+    other = coordinate("left_knee")
+    assert torque_bound(np.zeros(28), weak)[[at, other]].tolist() == [120.0, 200.0]
+    assert replay.joints() == weak
+    # With the torque of a sound leg the same athlete would be refused.
+    stronger = {**replay.arrays, "torque": replay.arrays["torque"] / np.float32(0.6)}
+    assert "torque" not in audit(replay).failures
+    assert "torque" in audit(Replay(replay.header, stronger)).failures
+
+
+def test_a_replay_of_the_usual_athlete_says_nothing_of_joints(jump):
+    assert "changed_joints" not in jump.header
+    assert jump.joints() == JOINTS
+    with pytest.raises(BadJob, match="expected the changed joints of an athlete"):
+        Replay({**jump.header, "changed_joints": [{"name": "chest"}]}, jump.arrays).joints()
+
+
+@pytest.mark.parametrize("cast", ["take_off", "swing"])
+def test_an_athlete_in_a_cast_starts_with_a_straight_knee_and_its_foot_at_rest(cast):
+    settings = HighJumpSettings.parse({"cast": cast})
+    world = World(joints=settings.joints())
+    start = takeoff.start_state(world, settings.take_off(FLOP))
+    at = coordinate("right_knee" if cast == "take_off" else "left_knee")
+    assert -0.1 <= start.pose[at] <= 0
+    assert start.rates[at] == 0
+    foot = world.athlete.links()[world.athlete.names.index("right_ankle"), 7:10]
+    assert np.linalg.norm(foot) < (0.2 if cast == "swing" else 1.5)
+    world.close()

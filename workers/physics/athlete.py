@@ -14,7 +14,7 @@ ligaments help the muscles (`LIGAMENTS`): a leg that swings back after the push 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,7 @@ class Joint:
         torque: most that its muscles give about any axis, N m.
         low, high: its range in joint coordinates, rad; three values for a spherical joint, one for a hinge.
         rate: fastest that a human turns it, rad/s, about any axis.
+        held: in a cast, which keeps what the joint is told to do within its range.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Joint:
     low: tuple[float, ...]
     high: tuple[float, ...]
     rate: float
+    held: bool = False
 
 
 # Stiffness and torque limits are DeepMimic's (Peng et al. 2018), but for knees and ankles, whose 150 and 90 N m are
@@ -94,9 +96,11 @@ class Athlete:
 
     Args:
         client: the Bullet client that it is loaded into.
+        joints: what they can do; those of `JOINTS` in their order, or some of them changed.
     """
 
-    def __init__(self, client: int) -> None:
+    def __init__(self, client: int, joints: Sequence[Joint] = JOINTS) -> None:
+        self.joints = tuple(joints)
         self._client = client
         self._k = {"physicsClientId": client}
         path = Path(pybullet_data.getDataPath()) / "humanoid" / "humanoid.urdf"
@@ -114,17 +118,19 @@ class Athlete:
         self.mass: Array = np.array([bullet.getDynamicsInfo(self.body, j, **self._k)[0] for j in range(-1, count)])
         """Mass of each body ``[13]``, kg."""
         self._share = self.mass / self.mass.sum()
-        self._gains = [joint.stiffness for joint in JOINTS]
-        self._dampings = [joint.stiffness * DAMPING_RATIO for joint in JOINTS]
-        self._muscles = [[joint.torque] * len(joint.low) for joint in JOINTS]
+        self._gains = [joint.stiffness for joint in joints]
+        self._stiffness = np.array([joints[i].stiffness for i in COORDINATE_JOINT])
+        self._dampings = [joint.stiffness * DAMPING_RATIO for joint in joints]
+        self._muscles = [[joint.torque] * len(joint.low) for joint in joints]
         self._forces = self._muscles
-        self._still = [[0.0] * len(joint.low) for joint in JOINTS]
-        self._ranges = [(joint.low, joint.high) for joint in JOINTS]
+        self._still = [[0.0] * len(joint.low) for joint in joints]
+        self._ranges = [(joint.low, joint.high) for joint in joints]
         self._surely_within = [
             tuple((low / _SURE_FACTOR, high / _SURE_FACTOR) for low, high in zip(joint.low, joint.high, strict=True))
-            for joint in JOINTS
+            for joint in joints
         ]
-        self._target: list[list[float]] = [[0.0] * len(joint.low) for joint in JOINTS]
+        self._held_within = held_within(joints)
+        self._target: list[list[float]] = [[0.0] * len(joint.low) for joint in joints]
         self._command: list[list[float]] = []
         self._free_the_joints()
         self.command(np.zeros(COORDINATES))
@@ -212,6 +218,8 @@ class Athlete:
 
     def command(self, target: NDArray[Any]) -> None:
         """Set the pose ``[28]`` that the PD controllers pull to from now on. It may lie beyond the ranges."""
+        if self._held_within is not None:
+            target = np.clip(target, *self._held_within)
         values: list[float] = np.asarray(target, np.float64).tolist()
         self._target = [values[3 * i : 3 * i + 3] for i in range(len(SPHERICAL))]
         self._target += [[value] for value in values[_TURNED:]]
@@ -252,7 +260,7 @@ class Athlete:
         M = np.array(bullet.calculateMassMatrix(self.body, q, flags=1, **self._k))
         C = np.array(bullet.calculateInverseDynamics(self.body, q, qd, [0.0] * len(qd), flags=1, **self._k))
         M[np.diag_indices_from(M)] += np.abs(M).sum(1) == 0
-        kp, kd = STIFFNESS, STIFFNESS * DAMPING_RATIO
+        kp, kd = self._stiffness, self._stiffness * DAMPING_RATIO
         rates = np.array(qd)[self._slots]
         error = kp * self._error_after(dt) - kd * rates
         force = -C
@@ -320,11 +328,27 @@ class Athlete:
             forces[i] = [force * (1 + LIGAMENTS * furthest) for force in self._muscles[i]]
 
 
-def torque_bound(pose: NDArray[Any]) -> Array:
+def ranges(joints: Sequence[Joint]) -> tuple[Array, Array]:
+    """Lowest and highest coordinates of joints ``[28]`` each, rad."""
+    return np.array([v for joint in joints for v in joint.low]), np.array([v for joint in joints for v in joint.high])
+
+
+def held_within(joints: Sequence[Joint]) -> tuple[Array, Array] | None:
+    """Bounds of a pose ``[28]`` that keep the joints in casts within their ranges, or None where there are none."""
+    if not any(joint.held for joint in joints):
+        return None
+    held = np.array([joints[i].held for i in COORDINATE_JOINT])
+    low, high = ranges(joints)
+    return np.where(held, low, -np.inf), np.where(held, high, np.inf)
+
+
+def torque_bound(pose: NDArray[Any], joints: Sequence[Joint] = JOINTS) -> Array:
     """Largest torques ``[..., 28]`` (N m) that muscles and ligaments give in poses ``[..., 28]``."""
-    beyond = np.maximum(np.maximum(pose - HIGH, LOW - pose), 0.0)
-    furthest = np.stack([beyond[..., np.array(COORDINATE_JOINT) == i].max(-1) for i in range(len(JOINTS))], -1)
-    bound: Array = TORQUE * (1 + LIGAMENTS * furthest[..., list(COORDINATE_JOINT)])
+    low, high = ranges(joints)
+    torque = np.array([joints[i].torque for i in COORDINATE_JOINT])
+    beyond = np.maximum(np.maximum(pose - high, low - pose), 0.0)
+    furthest = np.stack([beyond[..., np.array(COORDINATE_JOINT) == i].max(-1) for i in range(len(joints))], -1)
+    bound: Array = torque * (1 + LIGAMENTS * furthest[..., list(COORDINATE_JOINT)])
     return bound
 
 

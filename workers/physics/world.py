@@ -23,7 +23,7 @@ import numpy as np
 import pybullet as bullet
 import pybullet_data
 
-from workers.physics.athlete import Athlete
+from workers.physics.athlete import JOINTS, Athlete, Joint
 from workers.physics.rotations import Array
 
 FRAME = 1 / 120
@@ -107,12 +107,21 @@ class World:
         measure_torque: whether `advance` tells the muscles' torques and the contact forces, which takes longer than
             the frame itself.
         gravity: m/s^2, downwards.
+        joints: of the athlete.
     """
 
     athlete: Athlete
 
-    def __init__(self, mat_height: float = 0.3, *, measure_torque: bool = False, gravity: float = GRAVITY) -> None:
+    def __init__(
+        self,
+        mat_height: float = 0.3,
+        *,
+        measure_torque: bool = False,
+        gravity: float = GRAVITY,
+        joints: Sequence[Joint] = JOINTS,
+    ) -> None:
         self.gravity = gravity
+        self.joints = tuple(joints)
         self.mat_height = mat_height
         self.measure_torque = measure_torque
         self._client = -1
@@ -129,7 +138,7 @@ class World:
             self._k = {"physicsClientId": self._client}
             bullet.resetSimulation(**self._k)
             bullet.setGravity(0, -self.gravity, 0, **self._k)
-            self.athlete = Athlete(self._client)
+            self.athlete = Athlete(self._client, self.joints)
             ground = Path(pybullet_data.getDataPath()) / "plane_implicit.urdf"
             upright = bullet.getQuaternionFromEuler([-np.pi / 2, 0, 0])
             self._ground = bullet.loadURDF(str(ground), [0, 0, 0], upright, useMaximalCoordinates=True, **self._k)

@@ -8,7 +8,8 @@
       settings: {features: {kind: euclidean, names: [x], low: [0], high: [1], distinct: 0.1}}
 
 The function may return a value alone, ``value, features``, or ``value, features, cost`` (in samples, rounded up). It
-may take `z` (then the task has a difficulty), and `rng` (a `numpy.random.Generator` of its own for each trial).
+may take `z` (then the task has a difficulty), `rng` (a `numpy.random.Generator` of its own for each trial), and `avoid`
+(in a stage that is to find something new, the behaviours ``n x D`` that are known; None in any other).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from workers.contracts import JSON, BadJob, BadSetting, Context, Cost, Job, Outcome, TaskInfo, WorkerError
+from workers.novelty import Novelty
 from workers.tasks.features import WrongFeatures, declared_features, read_behaviour
 from workers.user_code import suggestion, user_traceback, where
 
@@ -41,6 +43,7 @@ class _WrongResult(Exception):
 class _Signature:
     takes_z: bool
     takes_rng: bool
+    takes_avoid: bool = False
 
 
 class FunctionTask:
@@ -67,6 +70,7 @@ class FunctionTask:
             features=declared_features(settings),
             has_difficulty=self._signature.takes_z,
             trains=False,
+            seeks_novelty=self._signature.takes_avoid,
             settings={"features": settings.get("features")},
         )
 
@@ -82,6 +86,9 @@ class FunctionTask:
         """Call it. An exception in it fails the trial, with the user's traceback in log and details."""
         spec = declared_features(job.task_settings)
         arguments: dict[str, Any] = {"rng": job.rng("function")} if self._signature.takes_rng else {}
+        if self._signature.takes_avoid:
+            away = None if spec is None else Novelty.of(job, spec)
+            arguments["avoid"] = None if away is None else away.avoid
         positional = (dict(job.params), job.z) if self._signature.takes_z else (dict(job.params),)
         started = time.perf_counter()
         try:
@@ -119,11 +126,11 @@ def _read_signature(name: str, function: Callable[..., Any]) -> _Signature:
     positional = [
         p.name
         for p in parameters.values()
-        if p.kind in {p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD, p.VAR_POSITIONAL} and p.name != "rng"
+        if p.kind in {p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD, p.VAR_POSITIONAL} and p.name not in {"rng", "avoid"}
     ]
     if not positional:
         raise BadJob(f"task {name!r}: expected a function f(params, z), found one without arguments")
-    return _Signature(takes_z=len(positional) > 1, takes_rng="rng" in parameters)
+    return _Signature(len(positional) > 1, takes_rng="rng" in parameters, takes_avoid="avoid" in parameters)
 
 
 def _read_result(result: Any) -> tuple[float, Any, int]:

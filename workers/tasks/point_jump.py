@@ -21,6 +21,7 @@ from workers.learning.ppo import POLICY_ARTIFACT, train
 from workers.learning.problem import SuccessCurriculum
 from workers.learning.rollout import play
 from workers.learning.settings import Budget, NetworkSettings, PPOSettings, TrainingSettings
+from workers.novelty import Novelty
 
 GRAVITY = 9.81  # m/s^2
 LEG = 0.4  # m; the leg pushes while the mass is lower than this
@@ -63,12 +64,14 @@ class Hop(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         spin: of the body, rad/s, constant.
         lean: of the body at the start, rad.
         distance: from the start to the bar, m.
+        novelty: what it is to keep away from; only a hop that would count as another strategy then succeeds.
     """
 
     observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (5,), np.float64)
     action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
 
-    def __init__(self, speed: float, spin: float, lean: float, distance: float) -> None:
+    def __init__(self, speed: float, spin: float, lean: float, distance: float, novelty: Novelty | None = None) -> None:
+        self.novelty = novelty
         self.speed, self.spin, self.lean, self.distance = speed, spin, lean, distance
         self.x = self.y = self.vx = self.vy = self.t = self.bar = 0.0
         self.left = False
@@ -102,8 +105,14 @@ class Hop(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             height = y + share * (self.y - y)
             facing = _wrapped(self.lean + self.spin * (self.t - (1 - share) * STEP))
             success = height >= self.bar
-            info = {"success": success, "height": height, "facing": facing, "metrics": {"height": height}}
-            return self._observation(), float(success), True, False, info
+            reward = float(success)
+            metrics = {"height": height}
+            if self.novelty is not None:
+                metrics["novelty"] = self.novelty.factor((facing,))
+                reward *= metrics["novelty"]
+                success = success and self.novelty.is_new((facing,))
+            info = {"success": success, "height": height, "facing": facing, "metrics": metrics}
+            return self._observation(), reward, True, False, info
         over = self.t >= TIME or (self.left and self.y <= 0)
         return self._observation(), 0.0, over, False, {"success": False} if over else {}
 
@@ -122,6 +131,7 @@ class PointJump:
             _PARAMETERS,
             _FEATURES,
             has_difficulty=True,
+            seeks_novelty=True,
             settings=_read(settings),
             training=DEFAULTS.to_json(),
         )
@@ -160,10 +170,11 @@ class _Problem:
         given = {"speed": 2.0, "spin": 0.0, "lean": 0.0, **job.params}
         self._state = {name: float(given[name]) for name in _PARAMETERS}
         self._distance = settings["distance"]
+        self._novelty = Novelty.of(job, _FEATURES)
         self._bar = FIRST_BAR + (settings["bar"] - FIRST_BAR) * (1.0 if job.z is None else job.z)
 
     def make_env(self) -> Hop:
-        return Hop(**self._state, distance=self._distance)
+        return Hop(**self._state, distance=self._distance, novelty=self._novelty)
 
     def curriculum(self) -> SuccessCurriculum:
         return SuccessCurriculum(FIRST_BAR, BAR_STEP, freeze=self._bar)

@@ -104,3 +104,34 @@ def test_sorting_by_mixed_kinds_puts_numbers_before_text_and_nothing_last(jumps,
     mixed = [replace(trial, params={"x": value}) for trial, value in zip(trials, values, strict=True)]
     assert [trial.params["x"] for trial in ordered(mixed, "params.x")] == [True, 2.0, "a", "b", None]
     assert [trial.params["x"] for trial in matching(mixed, None, ["params.x=true"])] == [True]
+
+
+def test_a_download_holds_what_passes_in_its_order_with_the_chosen_columns(client, jumps):
+    query = {"sort": "-value", "where": "value>0.4", "column": ["number", "value", "params.alpha", "message"]}
+    answer = client.get("/api/v1/studies/jump/trials.csv", params=query)
+    lines = answer.text.splitlines()
+    assert lines[0] == "number,value,params.alpha,message"
+    assert [line.split(",")[:2] for line in lines[1:]] == [["1", "0.9"], ["3", "0.9"], ["5", "0.7"], ["0", "0.5"]]
+    wrong = client.get("/api/v1/studies/jump/trials.csv", params={"column": "speed"})
+    assert wrong.status_code == 422
+    assert "column: expected one of number" in wrong.json()["error"]["message"]
+
+
+def test_words_are_looked_for_in_state_stage_mode_and_message(client, jumps):
+    assert numbers(client, where="text~NAN") == [6]
+    assert numbers(client, where="text~queued") == [7]
+    assert numbers(client, where=["text~explore", "number>5"]) == [6, 7]
+
+
+def test_what_many_ask_for_is_sorted_once_until_something_happens(client, app, jumps, monkeypatch):
+    from services.api import windows
+
+    sorted_by = []
+    ordered = windows.ordered
+    monkeypatch.setattr(windows, "ordered", lambda trials, sort: sorted_by.append(sort) or ordered(trials, sort))
+    for offset in (0, 2, 4, 2):
+        assert window(client, sort="-value", offset=offset, limit=2).status_code == 200
+    assert sorted_by == ["-value"]
+    jumps.one(iterations=1, files=(), value=0.95)
+    assert numbers(client, sort="-value", limit=1) == [8]
+    assert sorted_by == ["-value", "-value"]

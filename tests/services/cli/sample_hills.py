@@ -128,3 +128,9 @@ def trek(params):
     """Takes 0.2 s."""
     time.sleep(0.2)
     return hill(params)
+
+
+def shape(params, avoid=None):
+    """Left or right of 0.5 are two strategies; whoever is told what is known finds what lies beyond it."""
+    beyond = None if avoid is None else 2.0 + float(max(avoid)[0])
+    return params["x"], [float(params["x"] > 0.5) if beyond is None else beyond]

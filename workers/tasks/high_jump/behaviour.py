@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -32,6 +33,38 @@ def facing(orientation: Array) -> float:
     return float(np.arccos(np.clip(forward[1], -1.0, 1.0)))
 
 
+def behaviour_of(orientation: Array, spec: FeatureSpec) -> tuple[float, ...]:
+    """The behaviour of a jump whose root was turned so ``[4]`` over the bar, in the coordinates of `spec`."""
+    if spec.kind == "rotation":
+        return tuple(float(v) for v in orientation)
+    return (facing(orientation),)
+
+
+@dataclass(slots=True)
+class Passing:
+    """Watches the centre of mass come to the bar's plane: `over_the_bar` for a jump that isn't recorded.
+
+    `orientation` is the root's as it passed ``[4]``, w >= 0; None before.
+    """
+
+    orientation: Array | None = None
+    _x: float = math.nan
+    _turned: Array | None = None
+
+    def look(self, x: float, orientation: Array) -> None:
+        """Take a frame: where the centre of mass is (m from the plane), and how the root is turned ``[4]``."""
+        if x >= 0 and self._turned is not None:
+            self.orientation = between(self._turned, orientation, -self._x / (x - self._x))
+        self._x, self._turned = x, orientation
+
+
+def between(a: Array, b: Array, fraction: float) -> Array:
+    """The unit quaternion at a fraction of the way from `a` to `b` ``[4]``, w >= 0."""
+    orientation = rotations.interpolate(a, b, fraction)
+    orientation = orientation / np.linalg.norm(orientation)
+    return -orientation if orientation[3] < 0 else orientation
+
+
 def over_the_bar(replay: Replay) -> tuple[float, Array] | None:
     """When the centre of mass passes the bar's plane (s), and the root's orientation then ``[4]``; None if it doesn't.
 
@@ -45,8 +78,4 @@ def over_the_bar(replay: Replay) -> tuple[float, Array] | None:
     after = int(behind[0])
     fraction = float(-x[after - 1] / (x[after] - x[after - 1]))
     a, b = replay.arrays["orientation"][after - 1 : after + 1, 0].astype(np.float64)
-    orientation = rotations.interpolate(a, b, fraction)
-    orientation = orientation / np.linalg.norm(orientation)
-    if orientation[3] < 0:
-        orientation = -orientation
-    return (after - 1 + fraction) * float(replay.header["frame_seconds"]), orientation
+    return (after - 1 + fraction) * float(replay.header["frame_seconds"]), between(a, b, fraction)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.physics.athlete import COORDINATES
+from workers.novelty import Novelty
+from workers.physics.athlete import COORDINATES, JOINTS, Joint
 from workers.physics.world import FRAME, GRAVITY, Contacts, World
 from workers.poses.model import PoseModel
 from workers.replay import Recorder
 from workers.tasks.high_jump import rules, takeoff
+from workers.tasks.high_jump.behaviour import Passing, behaviour_of
 from workers.tasks.high_jump.takeoff import TakeOff
 
 _ACTIVATION_FRAMES = 3
@@ -41,6 +44,9 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         poses: a pose model to act through.
         gravity: m/s^2.
         landing: on which part the athlete may land, `any` or `feet`.
+        joints: of the athlete.
+        novelty: what the jump is to be unlike. Its reward is then multiplied by how new it is, and only one that would
+            count as another strategy succeeds, so that the bar rises with new jumps alone.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium declares it so
@@ -55,10 +61,13 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         poses: PoseModel | None = None,
         gravity: float = GRAVITY,
         landing: rules.Landing = "any",
+        joints: Sequence[Joint] = JOINTS,
+        novelty: Novelty | None = None,
     ) -> None:
         self.state = state
         self.recorder = recorder
-        self.world = World(mat_height, measure_torque=recorder is not None, gravity=gravity)
+        self.world = World(mat_height, measure_torque=recorder is not None, gravity=gravity, joints=joints)
+        self._novelty = novelty
         self._unused = True
         self._frames = round(1 / (control_rate * FRAME))
         self._reference = takeoff.push_off_pose()
@@ -99,6 +108,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         self._spin = 0.0
         self._offset = 0.0
         self._actions = 0
+        self._passing = Passing()
         if self.recorder is not None:
             self.recorder.start(self.world)
             self.recorder.add(self.world, Contacts())
@@ -119,6 +129,9 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             self._spin += self.world.athlete.spin()
             if self.recorder is not None:
                 self.recorder.add(self.world, contacts)
+            if self._novelty is not None and self._passing.orientation is None:
+                links = self.world.athlete.links()
+                self._passing.look(float(self.world.athlete.centre_of_mass(links)[0]), links[0, 3:7])
             rear = float(self.world.athlete.bounds()[0][0]) if contacts.mat else None
             verdict = self._rules.verdict(contacts, self._elapsed * FRAME, rear)
             if verdict is not None:
@@ -136,7 +149,13 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             bar=self.world.bar,
         )
         metrics = {f"end_{name}": float(verdict == name) for name in ("wall", "ground", "time", "fall")}
-        return observation, reward, True, False, {"success": landed, "verdict": verdict, "metrics": metrics}
+        success = landed
+        if landed and self._novelty is not None and self._passing.orientation is not None:
+            found = behaviour_of(self._passing.orientation, self._novelty.spec)
+            metrics["novelty"] = self._novelty.factor(found)
+            reward *= metrics["novelty"]
+            success = self._novelty.is_new(found)
+        return observation, reward, True, False, {"success": success, "verdict": verdict, "metrics": metrics}
 
     def _aim(self, action: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The target pose of an action, and its offset from what counts as natural, ``[28]`` each."""

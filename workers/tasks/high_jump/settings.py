@@ -19,12 +19,14 @@ from workers.learning.settings import (
     refuse_unknown,
     setting,
 )
+from workers.physics.athlete import Joint
 from workers.physics.world import GRAVITY
 from workers.poses.model import PoseModel
 from workers.tasks.high_jump import takeoff
 from workers.tasks.high_jump.behaviour import FeatureName
 from workers.tasks.high_jump.rules import Landing
 from workers.tasks.high_jump.takeoff import Formulation, TakeOff
+from workers.tasks.high_jump.variations import Cast, Spine, varied_joints
 
 SECTION = "task.settings"
 Actions = Literal["offset", "pose"]
@@ -51,12 +53,17 @@ class HighJumpSettings:
         first_bar: where the curriculum begins, m.
         lowest_bar: a jump over a lower bar counts for nothing: it can be stepped over, and every style can, m.
         bar_step: one step of the curriculum, m.
-        highest_bar: mastered, the training ends, m.
+        highest_bar: the highest that is tried; mastered, the training ends, m.
+        z_freeze: mastered, the training ends already, m; None: at the highest bar. A search need not know how high a
+            strategy can get, a polish finds out.
         control_rate: actions a second, a divisor of 120.
         mat_height: thickness of the mat, m.
         actions: `offset` from the push-off pose, or `pose`: a latent vector of a pose model, and an offset.
         gravity: m/s^2; 3.711 on Mars.
         landing: on which part the athlete may land, `any` or `feet`.
+        take_off_leg: torque of the take-off leg's hip, knee and ankle over the usual one.
+        spine: `free`, or `stiff`: it doesn't bend back.
+        cast: which leg's knee is in a cast that keeps it all but straight: `none`, `take_off` or `swing`.
         poses: file of the pose model, of `halma poses train`; None: the model of the packaged clips.
     """
 
@@ -73,11 +80,17 @@ class HighJumpSettings:
     lowest_bar: float = setting(0.4, Rule("float", 0.0, 2.5))
     bar_step: float = setting(0.02, Rule("float", 0.001, 0.5))
     highest_bar: float = setting(2.5, Rule("float", 0.1, 2.9))
+    z_freeze: float | None = setting(None, Rule("float", 0.1, 2.9, optional=True))
     control_rate: int = setting(10, Rule("int", 1, 120))
     mat_height: float = setting(0.3, Rule("float", 0.05, 1.0))
     actions: Actions = dataclasses.field(default="offset", metadata={"rule": Rule("str", choices=("offset", "pose"))})
     gravity: float = setting(GRAVITY, Rule("float", 0.5, 30.0))
     landing: Landing = dataclasses.field(default="any", metadata={"rule": Rule("str", choices=("any", "feet"))})
+    take_off_leg: float = setting(1.0, Rule("float", 0.1, 2.0))
+    spine: Spine = dataclasses.field(default="free", metadata={"rule": Rule("str", choices=("free", "stiff"))})
+    cast: Cast = dataclasses.field(
+        default="none", metadata={"rule": Rule("str", choices=("none", "take_off", "swing"))}
+    )
     poses: str | None = setting(None, Rule("path", optional=True))
 
     @classmethod
@@ -100,6 +113,13 @@ class HighJumpSettings:
                     "highest_bar",
                     f"expected at least {name}, which is {least:g}, found {parsed.highest_bar:g}",
                 )
+        if parsed.z_freeze is not None and not parsed.first_bar <= parsed.z_freeze <= parsed.highest_bar:
+            raise BadSetting(
+                SECTION,
+                "z_freeze",
+                f"expected a bar from first_bar, {parsed.first_bar:g}, to highest_bar, {parsed.highest_bar:g}, "
+                f"found {parsed.z_freeze:g}",
+            )
         if parsed.poses is not None and parsed.actions != "pose":
             raise BadSetting(SECTION, "poses", "expected none with actions: offset, found one; write actions: pose")
         try:
@@ -107,6 +127,15 @@ class HighJumpSettings:
         except BadJob as error:
             raise BadSetting(SECTION, "poses", str(error)) from None
         return parsed
+
+    def joints(self) -> tuple[Joint, ...]:
+        """The athlete's joints under the variations asked for."""
+        return varied_joints(self.take_off_leg, self.spine, self.cast)
+
+    @property
+    def last_bar(self) -> float:
+        """Where the curriculum ends, m."""
+        return self.highest_bar if self.z_freeze is None else self.z_freeze
 
     def pose_model(self) -> PoseModel | None:
         """The model to act through, or None. Raises `BadJob` where its file is none."""

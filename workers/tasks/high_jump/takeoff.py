@@ -17,7 +17,7 @@ import numpy as np
 
 from workers.contracts import ParameterSpec, Scalar
 from workers.physics import clips, rotations
-from workers.physics.athlete import COORDINATES, JOINTS, SPHERICAL
+from workers.physics.athlete import COORDINATES, JOINTS, SPHERICAL, held_within
 from workers.physics.rotations import Array
 from workers.physics.world import World
 
@@ -30,6 +30,8 @@ _STANCE_LEG = ("right_hip", "right_knee", "right_ankle")
 _CLIP = "run"
 _MID_SUPPORT_FRAME = 1
 _TOE_OFF_FRAME = 4
+_BENT = -0.7
+"""rad that the knee of the stance leg is bent by at the start."""
 _RATE_BOUND = 20.0
 """rad/s; no joint of the stance leg starts faster than this."""
 
@@ -119,9 +121,14 @@ def start_state(world: World, state: TakeOff) -> StartState:
     pose = clip.pose[frame].copy()
     rates = np.zeros(COORDINATES)
     lean = 0.0
+    knee = next(joint for joint in world.joints if joint.name == "right_knee")
     if support:
-        lean = _plant(pose)
+        lean = _plant(pose, float(np.clip(_BENT, knee.low[0], knee.high[0])) if knee.held else _BENT)
         rates = clip.rates[frame] * np.hypot(state.forward, state.v_z) / np.linalg.norm(clip.velocity(frame)[[0, 2]])
+    within = held_within(world.joints)
+    if within is not None:
+        pose = np.clip(pose, *within)
+        rates = np.where(np.isfinite(within[0]), 0.0, rates)
     yaw = state.alpha - np.pi / 2
     heading = rotations.from_rotation_vector(np.array([0, yaw, 0]))
     forward, up, right = (rotations.rotate(heading, axis) for axis in np.eye(3))
@@ -154,9 +161,12 @@ def apply(world: World, start: StartState) -> None:
     world.athlete.push(start.velocity, start.angular_velocity)
 
 
-def _plant(pose: Array) -> float:
-    """Bend the stance leg of `pose` for the take-off, the sole flat on the ground; returns the body's lean, rad."""
-    hip, knee, lean = 0.75, -0.7, -0.1
+def _plant(pose: Array, knee: float) -> float:
+    """Bend the stance leg of `pose` for the take-off, its knee so far (rad), the sole flat on the ground.
+
+    Returns the body's lean, rad.
+    """
+    hip, lean = 0.75, -0.1
     for joint, angle in zip(_STANCE_LEG, (hip, knee, -(hip + knee + lean)), strict=True):
         if joint in SPHERICAL:
             at = coordinate(joint)
@@ -198,7 +208,9 @@ def _rest_the_foot(world: World, pose: Array, rates: Array) -> Array:
     seven rates meet six conditions, with turning of the foot weighing a fifth of sliding.
     """
     athlete = world.athlete
-    stance = [coordinate(joint, axis) for joint in _STANCE_LEG for axis in range(3 if joint in SPHERICAL else 1)]
+    held = {joint.name for joint in world.joints if joint.held}
+    leg = [joint for joint in _STANCE_LEG if joint not in held]
+    stance = [coordinate(joint, axis) for joint in leg for axis in range(3 if joint in SPHERICAL else 1)]
     foot = athlete.names.index(TAKE_OFF_FOOT)
     weight = np.array([1, 1, 1, 0.2, 0.2, 0.2])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gymnasium
@@ -16,6 +16,7 @@ from workers.learning.ppo import POLICY_ARTIFACT, train
 from workers.learning.problem import Curriculum, Diverged, SuccessCurriculum, Trained
 from workers.learning.rollout import play
 from workers.learning.settings import TrainingSettings
+from workers.novelty import Novelty
 from workers.physics.rendering import render_frame
 from workers.replay import Recorder, Replay
 from workers.tasks.high_jump import behaviour, takeoff
@@ -25,6 +26,8 @@ from workers.tasks.high_jump.settings import TRAINING, HighJumpSettings, check_p
 
 REPLAY_ARTIFACT = "replay.bin"
 POSE_ARTIFACT = "pose.png"
+_BACK = 0.1
+"""m below the bar that a policy clears: with noise, where it goes on learning, it clears no more."""
 _REACH = 0.4
 """m above the curriculum's level that the policy is tried at: without exploration noise it jumps higher."""
 
@@ -36,16 +39,20 @@ class HighJumpProblem:
     Args:
         settings: of the task.
         state: the take-off state.
+        novelty: what the jump that is learnt is to be unlike, or None.
+        cleared: the bar that the policy it starts from clears, m; None from scratch.
     """
 
     settings: HighJumpSettings
     state: takeoff.TakeOff
+    novelty: Novelty | None = None
+    cleared: float | None = None
 
     def make_env(self) -> gymnasium.Env[Any, Any]:
-        """A new environment."""
-        return self.env(None)
+        """A new environment to train in."""
+        return self.env(None, novelty=self.novelty)
 
-    def env(self, recorder: Recorder | None) -> HighJumpEnv:
+    def env(self, recorder: Recorder | None, novelty: Novelty | None = None) -> HighJumpEnv:
         """A new environment that tells a recorder."""
         s = self.settings
         return HighJumpEnv(
@@ -56,12 +63,22 @@ class HighJumpProblem:
             poses=s.pose_model(),
             gravity=s.gravity,
             landing=s.landing,
+            joints=s.joints(),
+            novelty=novelty,
         )
 
     def curriculum(self) -> Curriculum:
-        """The bar, from the first to the highest."""
+        """The bar, from the first to the one that ends the training.
+
+        A training that goes on with a policy begins a little below what that clears, one for something new at the
+        first bar: a new jump is learnt like the first.
+        """
         s = self.settings
-        return SuccessCurriculum(s.first_bar, s.bar_step, s.highest_bar)
+        curriculum = SuccessCurriculum(s.first_bar, s.bar_step, s.last_bar)
+        if self.cleared is not None and self.novelty is None:
+            # in steps, which a checkpoint keeps: a training that is resumed may have no parent any more
+            curriculum.steps = max(0, int((self.cleared - _BACK - s.first_bar) / s.bar_step + 1e-9))
+        return curriculum
 
     def bars_from(self, level: float) -> list[float]:
         """Bars to try (m), highest first: from above the curriculum's level down to the lowest, in its steps."""
@@ -102,6 +119,7 @@ class HighJump:
             summary="A full athlete learns to jump over a bar from a given take-off state",
             parameters=takeoff.PARAMETERS,
             features=behaviour.FEATURES[parsed.feature],
+            seeks_novelty=True,
             settings=parsed.to_json(),
             training=TRAINING.to_json(),
         )
@@ -114,7 +132,7 @@ class HighJump:
 
     def run(self, job: Job, context: Context) -> Outcome:
         """Train, then look for the highest bar. Artifacts: the policy; of a cleared bar its replay and a picture."""
-        problem = problem_of(job)
+        problem = replace(problem_of(job), cleared=_cleared_by_parent(job, context))
         try:
             trained = train(job, context, problem, TrainingSettings.parse(job.training, TRAINING))
         except Diverged as error:
@@ -133,18 +151,18 @@ class HighJump:
         time, orientation = passing
         context.save_artifact(POSE_ARTIFACT, render_frame(best.replay, time))
         facing = behaviour.facing(orientation)
-        rotation = tuple(float(v) for v in orientation)
+        found = behaviour.behaviour_of(orientation, behaviour.FEATURES[problem.settings.feature])
         return Outcome(
             "complete",
             value=best.bar,
-            features=(facing,) if problem.settings.feature == "facing" else rotation,
+            features=found,
             cost=trained.cost,
             details={
                 **name_jump(best.replay).to_json(),
                 "bar": best.bar,
                 "cleared": True,
                 "facing": facing,
-                "rotation": list(rotation),
+                "rotation": [float(v) for v in orientation],
                 "reward": best.reward,
                 "audit": best.audit.to_json(),
                 **_common(problem, trained),
@@ -219,7 +237,18 @@ def problem_of(job: Job) -> HighJumpProblem:
     """What a job trains, checked. Raises `BadSetting`."""
     settings = HighJumpSettings.parse(job.task_settings)
     check_parameters(job.params)
-    return HighJumpProblem(settings, settings.take_off(job.params))
+    novelty = Novelty.of(job, behaviour.FEATURES[settings.feature])
+    return HighJumpProblem(settings, settings.take_off(job.params), novelty)
+
+
+def _cleared_by_parent(job: Job, context: Context) -> float | None:
+    """The bar that the policy a job starts from clears, m; None where there is none, or it cleared none."""
+    if job.parent is None:
+        return None
+    try:
+        return bar_of(context.parent_artifact(POLICY_ARTIFACT))
+    except BadJob:
+        return None  # a resumed training needs its parent no more, and a new one is told by the learner what is wrong
 
 
 def _common(problem: HighJumpProblem, trained: Trained) -> dict[str, JSON]:
