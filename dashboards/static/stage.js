@@ -100,7 +100,6 @@ export class Stage {
     Object.assign(sun.shadow.camera, { left: -4, right: 4, top: 4, bottom: -4, near: 0.5, far: 16 });
     sun.shadow.bias = -0.0006;
     this.scene.add(sun, sun.target);
-    this.sun = sun;
   }
 
   #solid(shape, colour) {
