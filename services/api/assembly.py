@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Mapping
 from fastapi import FastAPI
 
 from services.api import health, insights, monitoring, pulse, reference, routes, sockets
+from services.api.distinct import Distinct
 from services.api.errors import add_error_handlers
 from services.api.guard import Guard, Hosts
 from services.api.live import Hub
@@ -61,6 +62,7 @@ def create_api(
         Hub(store),
         trials,
         Finder(store, trials),
+        Distinct(store),
         Looks(store, trials),
         dict(pools or {}),
     )

@@ -316,14 +316,14 @@ def _file_name(text: str) -> str:
 def strategies(service: Uses, study: Study) -> StrategyList:
     """The distinct strategies that a study has found; none where its task has no behaviour."""
     # The search's geometry comes with torch, which takes a second to import, once.
-    from services.report import behaviour_of, distinct_trials  # noqa: PLC0415
+    from services.report import behaviour_of  # noqa: PLC0415
 
     cursor, history = service.store.last_event(), service.store.history_id()
     row = service.store.study(study)
     behaviour = behaviour_of(row)
     if behaviour is None:
         return StrategyList(cursor=cursor, history=history, distance=None, strategies=[])
-    found = distinct_trials(row, service.trials.history(row))
+    found = service.distinct.of(row, service.trials.history(row)) or []
     return StrategyList(
         cursor=cursor,
         history=history,
