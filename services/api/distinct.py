@@ -1,4 +1,4 @@
-"""Distinct strategies of studies, worked out once for each length of a study's history: many people look at the same."""
+"""Distinct strategies of studies, worked out once for each length of a history: many people look at the same."""
 
 from __future__ import annotations
 
