@@ -41,8 +41,8 @@ export class Strategies {
     if (!this.found || this.found.distance === null) return true;
     // What the task's own audit refused is nobody's strategy.
     if (trial.details.audit?.passed === false) return false;
-    const near = this.found.strategies.filter((one) => distance(this.behaviour, one.features, trial.features) <= this.found.distance);
-    return !near.length || near.some((one) => (trial.value ?? -Infinity) > (one.value ?? -Infinity));
+    // The best stands for all that are like it: nobody who is as good and alike is there, or it changes nothing.
+    return !this.found.strategies.some((one) => (one.value ?? -Infinity) >= (trial.value ?? -Infinity) && distance(this.behaviour, one.features, trial.features) <= this.found.distance);
   }
 
   async refresh(tell) {
