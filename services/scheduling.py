@@ -186,9 +186,7 @@ class Scheduler:
         plans = []
         for host, candidates in by_host.items():
             free, plan = room.get(host, 0.0), list[tuple[Drive, Live]]()
-            for other, live in sorted(
-                candidates, key=lambda each: (each[0].row.priority, -each[1].began, -each[1].attempt)
-            ):
+            for other, live in sorted(candidates, key=_least_to_lose):
                 if free >= cpus:
                     break
                 free += live.cpus
@@ -221,3 +219,9 @@ class Scheduler:
             f"waits for a host: expected one with {cores} in pool {pool}, found {found}; let one join, or change the "
             f"study: halma set {drive.row.name} pool=NAME cpus=N (other pools: {others or 'none'})"
         )
+
+
+def _least_to_lose(candidate: tuple[Drive, Live]) -> tuple[int, float, int]:
+    """Sorting key of attempts that might give way: the first one should."""
+    drive, live = candidate
+    return (drive.row.priority, -live.began, -live.attempt)

@@ -53,7 +53,8 @@ class TestShares:
         world.another("t", "search.trials=100000", "resources.parallel=9", "resources.cpus=2")
         had = run(world, 3000, {"s": 15.0, "t": 65.0}, tick=5.0)
         assert had["s"] / had["t"] == pytest.approx(2.0, rel=0.06)
-        assert sum(had.values()) > 0.9 * 5 * 3000, "and the pool is busy"
+        # Between the end of a trial and the start of the next one a pass goes by: here 5 s of at least 15.
+        assert sum(had.values()) > 0.7 * 5 * 3000, "and the pool is busy"
 
     def test_equal_studies_share_the_pool_at_once(self, world):
         world.dispatcher.size = 4
