@@ -21,7 +21,7 @@ GLYPHS: Mapping[str, str] = {
 }
 """One shape for each state, so that colour is never the only sign."""
 
-UNIT_OF_VALUE: Mapping[str, str] = {"bar": "m", "height": "m", "distance": "m"}
+UNIT_OF_VALUE: Mapping[str, str] = {"bar": "m", "width": "m", "height": "m", "distance": "m"}
 """Units of what a task's value may be, by the name of the result that equals it: a study's spec has none for it."""
 
 

@@ -99,14 +99,19 @@ export class Stage {
   }
 
   #furnish() {
-    const { bar, mat_height: mat } = this.replay.header;
+    const { bar, mat_height: mat, wall_half_thickness: wall = 0.02 } = this.replay.header;
     const floor = this.#solid(new PlaneGeometry(40, 40).rotateX(-Math.PI / 2), 0xb9bfc4);
     floor.castShadow = false;
     floor.position.y = -0.021;
     this.scene.add(floor);
     this.#box([6.2, 0.02, 12], [-3, -0.01, 0], 0xcc6b54).castShadow = false;
-    this.#box([4, mat, 6], [2.05, mat / 2, 0], 0x5c9985);
+    const obstacle = wall > 0.0201; // a bar's wall is 0.02 m, in 32 bits or more
+    this.#box([4, mat, 6], [obstacle ? wall + 2 : 2.05, mat / 2, 0], 0x5c9985);
     if (!(bar > 0)) return;
+    if (obstacle) {
+      this.#box([2 * wall, bar, 4], [0, bar / 2, 0], 0xf2cc26);
+      return;
+    }
     this.#box([0.04, 0.04, 4], [0, bar - 0.02, 0], 0xf2cc26);
     for (const z of [-2, 2]) this.#box([0.06, bar + 0.2, 0.06], [0, bar / 2 + 0.1, z], 0xe6e6e6);
   }
