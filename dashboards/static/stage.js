@@ -122,6 +122,18 @@ export class Stage {
     floor.castShadow = false;
     floor.position.y = -0.021;
     this.scene.add(floor);
+    if (!(mat > 0)) {
+      // No jump: a track without end, with a line across every metre to see the speed by.
+      const track = this.#box([40, 0.02, 3], [10, -0.01, 0], light.runway);
+      track.castShadow = false;
+      this.dressed = [["floor", floor.material], ["runway", track.material]];
+      for (let x = -9; x < 30; x++) {
+        const line = this.#box([0.03, 0.004, 3], [x, 0, 0], light.post);
+        line.castShadow = false;
+        this.dressed.push(["post", line.material]);
+      }
+      return;
+    }
     const runway = this.#box([6.2, 0.02, 12], [-3, -0.01, 0], light.runway);
     runway.castShadow = false;
     this.dressed = [["floor", floor.material], ["runway", runway.material], ["mat", this.#box([4, mat, 6], [2.05, mat / 2, 0], light.mat).material]];
@@ -178,6 +190,10 @@ export class Stage {
     const { arrays, frames, bodies, step } = this.replay;
     const before = this.com(this.time);
     this.time = time;
+    const along = Math.max(0, this.com(time).x);
+    // Shadows are sharp only near where the light looks: it goes with those who leave the bar behind.
+    this.sun.position.x = along - 3;
+    this.sun.target.position.x = along;
     const at = Math.max(0, Math.min(time / step, frames - 1));
     const [i, k] = [Math.floor(at), Math.min(Math.floor(at) + 1, frames - 1)];
     const share = at - i;
