@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,6 +33,24 @@ def levels(trials: Sequence[TrialRow]) -> list[dict[str, Any]]:
         if trial.state.value == "complete" and trial.value is not None:
             level["best"] = trial.value if level["best"] is None else max(level["best"], trial.value)
     return [{**found[z], "seconds": round(found[z]["seconds"], 3)} for z in sorted(found)]
+
+
+TENTHS_FROM = 12
+"""Different difficulties from which they count as continuous: a bar for each trial would tell nothing."""
+
+
+def gathered(trials: Sequence[TrialRow]) -> list[dict[str, Any]]:
+    """The levels as a chart of costs shows them: `levels`, or its tenths where the difficulty is continuous."""
+    found = levels(trials)
+    if len(found) <= TENTHS_FROM:
+        return found
+    tenths: dict[float, dict[str, Any]] = {}
+    for level in found:
+        middle = round(min(9, math.floor(level["z"] * 10)) / 10 + 0.05, 2)
+        tenth = tenths.setdefault(middle, {"z": middle, "trials": 0, "samples": 0, "seconds": 0.0})
+        for figure in ("trials", "samples", "seconds"):
+            tenth[figure] += level[figure]
+    return [tenths[middle] for middle in sorted(tenths)]
 
 
 def point(trial: TrialRow) -> dict[str, Any]:

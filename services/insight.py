@@ -20,11 +20,12 @@ from search.insight.slices import Ask, Axis, NothingYet, Slice, foot_of, slice_o
 from search.insight.surrogates import MODELS_BEHAVIOUR, MODELS_VALUE, Subject, Surrogates
 from search.record import read_record
 from search.space import Parameter
+from services.course import answers
 from services.errors import BadInput
 from services.proposing import proposal_key
 from services.report import spec_of
 from services.spec import ResolvedSpec, as_written
-from services.states import OBSERVED_TRIAL, TrialState
+from services.states import OBSERVED_TRIAL
 from services.store.port import StudyRow, TrialRow
 from services.translate import make_strategy_of
 
@@ -302,12 +303,7 @@ def _importance_note(looked: Looked, subject: Subject, found: Importances | None
 
 def best_trial(trials: Sequence[TrialRow]) -> TrialRow | None:
     """The complete trial of the real task (no difficulty, or z = 1) with the highest value; the first of equals."""
-    at_top = [
-        trial
-        for trial in trials
-        if trial.state is TrialState.COMPLETE and trial.value is not None and trial.z in {None, 1.0}
-    ]
-    return max(at_top, key=lambda trial: (trial.value or 0.0, -trial.number), default=None)
+    return max(filter(answers, trials), key=lambda trial: (trial.value or 0.0, -trial.number), default=None)
 
 
 def best_json(looked: Looked) -> dict[str, Any] | None:

@@ -227,6 +227,7 @@ def _start_local(pools: Mapping[str, int]) -> None:
     for tries_left in reversed(range(STARTS)):
         try:
             ray.init(
+                address="local",  # else it joins whatever cluster was last started on this machine
                 num_cpus=max(1, sum(pools.values())),
                 num_gpus=0,
                 resources=resources,

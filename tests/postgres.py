@@ -59,9 +59,19 @@ class Server:
             self._user = {"user": account.pw_uid, "group": account.pw_gid}
             os.chown(folder, account.pw_uid, account.pw_gid)
 
-    def create(self) -> None:
-        """Make the data folder."""
-        command = [self._binaries / "initdb", "-D", self.folder / "data", "-U", "postgres", "-A", "trust", "-N"]
+    def create(self, *options: str) -> None:
+        """Make the data folder; `options` are those of `initdb`."""
+        command = [
+            self._binaries / "initdb",
+            "-D",
+            self.folder / "data",
+            "-U",
+            "postgres",
+            "-A",
+            "trust",
+            "-N",
+            *options,
+        ]
         done = subprocess.run(command, capture_output=True, cwd="/", check=False, **self._user)
         assert done.returncode == 0, done.stderr.decode()
 
@@ -88,6 +98,11 @@ class Server:
             self._process.send_signal(how)
             self._process.wait(timeout=30)
             self._process = None
+
+    @property
+    def runs(self) -> bool:
+        """Whether it has not ended by itself, as a server does whose disk is full."""
+        return self._process is not None and self._process.poll() is None
 
     def url(self, database: str) -> str:
         """URL of a database on it."""

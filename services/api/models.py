@@ -11,6 +11,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from services.amending import AMENDABLE
 from services.stages import most_trials
 from services.states import AttemptState, StudyState, TrialState
 from services.store.port import ArtifactRow, AttemptRow, EventRow, MetricRow, ProposalRow, StudyRow, TrialRow
@@ -344,6 +345,15 @@ class Extension(Model):
     trials: Annotated[int, Field(ge=0, le=10**9)] = 0
     cost: Annotated[float, Field(ge=0, allow_inf_nan=False, le=1e18)] = Field(
         default=0.0, description="simulation samples"
+    )
+
+
+class Amendment(Model):
+    """How a study is to be run from now on."""
+
+    fields: Annotated[dict[str, JsonValue], Field(min_length=1, max_length=len(AMENDABLE))] = Field(
+        description=f"values by dotted name: {', '.join(AMENDABLE)}",
+        examples=[{"priority": 5, "resources.pool": "gpu"}],
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from itertools import accumulate
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
@@ -13,9 +12,10 @@ from pydantic import Field
 
 from services.api.models import Model
 from services.api.service import Uses
+from services.course import answers, course
 from services.errors import UnknownStudy
 from services.stages import most_trials
-from services.states import StudyState, TrialState
+from services.states import StudyState
 from services.store.port import StudyRow, TrialRow
 
 router = APIRouter(prefix="/api/v1")
@@ -86,7 +86,7 @@ def pulse(
         pulses.append(
             Pulse(
                 study=row.name,
-                best=course(history),
+                best=spark(history),
                 distinct=counts.of(history_id, row, history),
                 samples_per_second=rate,
                 seconds_left=left,
@@ -95,10 +95,9 @@ def pulse(
     return Pulses(pulses=pulses)
 
 
-def course(history: Sequence[TrialRow]) -> list[float]:
-    """Best value so far after each complete trial, thinned evenly; the last one always among them."""
-    values = [t.value for t in history if t.state is TrialState.COMPLETE and t.value is not None]
-    best = list(accumulate(values, max))
+def spark(history: Sequence[TrialRow]) -> list[float]:
+    """Best value so far after each answer, thinned evenly; the last one always among them."""
+    best = [step.best for step in course(history) if answers(step.trial) and step.best is not None]
     if len(best) <= POINTS:
         return best
     return [best[round(i * (len(best) - 1) / (POINTS - 1))] for i in range(POINTS)]

@@ -12,8 +12,10 @@ from fastapi.responses import StreamingResponse
 from pydantic import Field
 from sqlalchemy.engine import make_url
 
+from services.amending import checked
 from services.api.errors import NotHere
 from services.api.models import (
+    Amendment,
     ArtifactOut,
     AttemptOut,
     ErrorOut,
@@ -113,6 +115,17 @@ def submit(service: Uses, submission: Submission) -> StudyOut:
 @router.get("/studies/{study}", tags=["studies"])
 def one_study(service: Uses, study: Study) -> StudyOut:
     """A study with its spec."""
+    return StudyOut.of(service.store.study(study))
+
+
+@router.patch("/studies/{study}", tags=["actions"])
+def amend(service: Uses, study: Study, amendment: Amendment) -> StudyOut:
+    """Change how a study is run: its priority, share, pool, width, retries. A running study follows at once."""
+    row = service.store.study(study)
+    fields = checked(row, amendment.fields)
+    with service.store.transaction() as change:
+        change.amend(study, fields)
+    service.changed()
     return StudyOut.of(service.store.study(study))
 
 

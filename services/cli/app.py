@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from services.cli import about, checking, files, keeping, poses, starting, studies
+from services.cli import about, checking, files, keeping, plotting, poses, starting, studies
 
 EPILOG = (
     "Places: HALMA_HOME (default ~/.halma), HALMA_DB, HALMA_ARTIFACTS. "
@@ -45,12 +45,25 @@ def halma(
 
 for group, commands in (
     ("Start", (starting.run, starting.serve, starting.submit)),
-    ("Look", (studies.ls, studies.show, studies.trials, studies.watch, keeping.replay, keeping.audit, keeping.export)),
+    (
+        "Look",
+        (
+            studies.ls,
+            studies.show,
+            studies.trials,
+            studies.watch,
+            keeping.replay,
+            keeping.audit,
+            plotting.plot,
+            keeping.export,
+        ),
+    ),
     ("Steer", (studies.pause, studies.resume, studies.cancel, studies.extend)),
     ("Know", (about.tasks, about.strategies, about.schema, about.doctor)),
 ):
     for command in commands:
         app.command(rich_help_panel=group)(command)
+app.command("set", rich_help_panel="Steer")(studies.set_fields)
 app.command("gc", rich_help_panel="Keep")(files.gc)
 app.command("verify", rich_help_panel="Keep")(files.verify_files)
 app.add_typer(poses.app, name="poses", rich_help_panel="Know")

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from invariants import Record, Verdict, check, what_counts
+from places import FalseClock
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -56,6 +57,9 @@ class Arena:
         artifacts: folder of the artifacts, where it isn't the default.
         database: path of the SQLite file, likewise.
         leases: how much shorter than usual leases are.
+        notes: folder for what the processes tell the harness; default: the arena's own.
+        path: where processes find modules.
+        prefix: what the command is run by.
     """
 
     folder: Path
@@ -64,6 +68,9 @@ class Arena:
     artifacts: Path | None = None
     database: str | None = None
     leases: float = 1.0
+    notes: Path | None = None
+    path: tuple = (HERE / "hooks", HERE, ROOT)
+    prefix: tuple = ()
     seen: list = field(default_factory=list)
 
     def __post_init__(self):
@@ -76,7 +83,8 @@ class Arena:
             self.artifacts = self.folder / "walk.artifacts"
         self.file = self.folder / "study.yaml"
         self.file.write_text(self.shape.text(), encoding="utf-8")
-        self.work, self.plan, self.output = (self.folder / name for name in ("work", "plan.json", "output"))
+        self.output = self.folder / "output"
+        self.work, self.plan = ((self.notes or self.folder) / name for name in ("work", "plan.json"))
         self.environment = {
             "HALMA_HOME": str(self.folder / "home"),
             "HALMA_DB": self.database,
@@ -88,16 +96,9 @@ class Arena:
         }
 
     def false_clock(self):
-        """Let every process of this arena see the wall clock that the file `clock` says; monotonic time stays true."""
-        library = next(iter(sorted(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"))))
-        self.clock = self.folder / "clock"
-        self.clock.write_text("+0\n", encoding="ascii")
-        self.environment |= {
-            "LD_PRELOAD": str(library),
-            "FAKETIME_TIMESTAMP_FILE": str(self.clock),
-            "FAKETIME_NO_CACHE": "1",
-            "FAKETIME_DONT_FAKE_MONOTONIC": "1",
-        }
+        """Let every process of this arena see a wall clock that can be made to jump."""
+        self.clock = FalseClock(self.folder)
+        self.environment |= self.clock.environment
 
     def intend(self, **plan):
         """Have a fault happen at an exact point; see `hooks/sitecustomize.py`."""
@@ -114,17 +115,20 @@ class Arena:
 
     def command(self, *arguments, **environment):
         """The command as a process of its own; its output goes to the arena's file."""
-        path = os.pathsep.join([str(HERE / "hooks"), str(HERE), str(ROOT)])
         with self.output.open("ab") as output:
             return subprocess.Popen(
-                [sys.executable, "-c", START, *arguments],
-                env={**os.environ, **self.environment, "PYTHONPATH": path, **environment},
+                [*self.prefix, sys.executable, "-c", START, *arguments],
+                env={**os.environ, **self.environment, "PYTHONPATH": self.python_path(), **environment},
                 cwd=self.folder,
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,
                 start_new_session=True,
             )
+
+    def python_path(self):
+        """Where the command and its workers find modules."""
+        return os.pathsep.join(map(str, self.path))
 
     def record(self):
         """The study as it is on record now; its `study` is None where there is none yet."""
@@ -157,9 +161,14 @@ class Arena:
 
     def iterations_begun(self):
         """How many iterations have begun by now, repeated ones included."""
+        return len(self.iterations())
+
+    def iterations(self):
+        """The trial and iteration of each that began, in order."""
         with contextlib.suppress(FileNotFoundError):
-            return self.work.read_bytes().count(b"\n")
-        return 0
+            lines = self.work.read_text(encoding="utf-8").splitlines()
+            return [(int(line.split()[1]), int(line.split()[2])) for line in lines]
+        return []
 
 
 def _nothing():

@@ -25,13 +25,18 @@ ROOT = HERE.parents[1]
 
 
 class Forks:
-    """The other end: starts the forking process and asks it for commands."""
+    """The other end: starts the forking process and asks it for commands.
 
-    def __init__(self, folder):
+    Args:
+        folder: where it runs.
+        environment: what it is given beside ours.
+    """
+
+    def __init__(self, folder, **environment):
         path = os.pathsep.join([str(HERE / "hooks"), str(HERE), str(ROOT)])
         self._process = subprocess.Popen(
             [sys.executable, str(Path(__file__))],
-            env={**os.environ, "HALMA_CHAOS_PLAN": "", "PYTHONPATH": path},
+            env={**os.environ, "HALMA_CHAOS_PLAN": "", "PYTHONPATH": path, **environment},
             cwd=folder,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

@@ -12,6 +12,7 @@ import time
 
 from arena import NAME, Arena
 from invariants import what_counts
+from repetitions import Marks
 
 PATIENCE = 60.0
 """Seconds in which a study that takes half a second must be through."""
@@ -29,7 +30,7 @@ class Game:
 
     def __init__(self, forks, arena: Arena, expected, rng):
         self.forks, self.arena, self.expected, self.rng = forks, arena, expected, rng
-        self.faults = 0
+        self.faults, self.marks = 0, Marks()
 
     def run_once(self, during=None):
         """Run or resume the study in a process; its exit status.
@@ -37,6 +38,7 @@ class Game:
         Args:
             during: called with the process id while it runs.
         """
+        self.marks.set("", self.arena.iterations_begun())
         exists = self.arena.look().study is not None
         arguments = ("resume", NAME) if exists and self.rng.random() < 0.5 else ("run", str(self.arena.file))
         pid = self.forks.start(*arguments, "--inline", output=self.arena.output, **self.arena.environment)
@@ -80,6 +82,10 @@ class Game:
             longest *= 1.1  # on a busy machine a run may not get anywhere in the time it had
         return self.to_the_end()
 
+    def cost(self, kind):
+        """What the faults, all of one kind, cost."""
+        return dict.fromkeys([kind], self.marks.count(self.arena.iterations())[""])
+
     def over(self):
         """Whether the study has come to its end."""
         study = self.arena.record().study
@@ -91,6 +97,7 @@ class Game:
             if self.run_once() == 0:
                 break
         verdict = self.arena.judge()
+        self.marks.judge(self.arena.iterations(), verdict)
         verdict.expect(
             what_counts(self.arena.record()) == self.expected, "the study is not what it would have been undisturbed"
         )

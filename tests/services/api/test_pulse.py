@@ -7,38 +7,47 @@ from types import SimpleNamespace
 
 import pytest
 
-from services.api.pulse import POINTS, course, pace
+from services.api.pulse import POINTS, pace, spark
 from services.states import StudyState, TrialState
 from tests.record import Record
 
 
-def trial(value=1.0, *, state=TrialState.COMPLETE, started=0, finished=10, samples=100):
+def trial(value=1.0, *, state=TrialState.COMPLETE, started=0, finished=10, samples=100, z=None):
     moment = datetime.fromtimestamp
     return SimpleNamespace(
-        value=value, state=state, samples=samples, started_at=moment(started, UTC), finished_at=moment(finished, UTC)
+        value=value,
+        state=state,
+        samples=samples,
+        z=z,
+        started_at=moment(started, UTC),
+        finished_at=moment(finished, UTC),
     )
 
 
 def test_the_course_is_the_best_so_far_and_failures_are_no_part_of_it():
     history = [trial(0.5), trial(None, state=TrialState.FAILED), trial(0.3), trial(0.9), trial(0.8)]
-    assert course(history) == [0.5, 0.5, 0.9, 0.9]
+    assert spark(history) == [0.5, 0.5, 0.9, 0.9]
+
+
+def test_values_of_easier_versions_are_no_part_of_the_course():
+    assert spark([trial(0.5, z=1.0), trial(0.9, z=0.2), trial(0.6, z=1.0)]) == [0.5, 0.6]
 
 
 def test_a_long_course_keeps_its_ends():
-    found = course([trial(float(i)) for i in range(1000)])
+    found = spark([trial(float(i)) for i in range(1000)])
     assert (len(found), found[0], found[-1]) == (POINTS, 0.0, 999.0)
 
 
 def test_rate_and_time_left_by_hand():
     """Four trials of 100 samples in 40 s: 10 samples/s; six are missing, at 10 s each."""
     history = [trial(started=10 * i, finished=10 * i + 10) for i in range(4)]
-    study = SimpleNamespace(state=StudyState.RUNNING, target_trials=10, target_cost=None, samples=400)
+    study = SimpleNamespace(state=StudyState.RUNNING, target_trials=10, target_cost=None, samples=400, spec={})
     assert pace(study, history, now=40.0) == pytest.approx((10.0, 60.0))
 
 
 def test_the_nearer_end_counts_and_a_study_that_waits_has_none():
     history = [trial(started=10 * i, finished=10 * i + 10) for i in range(4)]
-    study = SimpleNamespace(state=StudyState.RUNNING, target_trials=10, target_cost=500, samples=400)
+    study = SimpleNamespace(state=StudyState.RUNNING, target_trials=10, target_cost=500, samples=400, spec={})
     assert pace(study, history, now=40.0) == pytest.approx((10.0, 10.0))
     study.state = StudyState.PAUSED
     assert pace(study, history, now=40.0) == (None, None)
