@@ -104,7 +104,9 @@ export class HalmaReplay extends HTMLElement {
       if (turn === this.#wanted) this.#fail(error);
       return;
     }
-    this.crossing = overTheBar(this.replay);
+    const jumps = this.replay.header.bar > 0;
+    this.crossing = jumps ? overTheBar(this.replay) : null;
+    this.shadowRoot.querySelector(".bar-button").hidden = !jumps;
     this.range.max = this.duration;
     this.observer = new ResizeObserver(() => this.stage?.resize(this.view.clientWidth || 1, this.view.clientHeight || 1));
     this.observer.observe(this.view);
@@ -135,7 +137,8 @@ export class HalmaReplay extends HTMLElement {
     this.clock.textContent = `${at.toFixed(2)} s`;
     const height = this.stage.com(at).y;
     const { bar } = this.replay.header;
-    this.figures.textContent = `centre of mass ${height.toFixed(2)} m (bar ${bar.toFixed(2)} m)${this.stage.force > 0.02 ? `\npush ${this.stage.force.toFixed(1)} × body weight` : ""}`;
+    const beside = bar > 0 ? ` (bar ${bar.toFixed(2)} m)` : `, ${this.stage.com(at).x.toFixed(1)} m along`;
+    this.figures.textContent = `centre of mass ${height.toFixed(2)} m${beside}${this.stage.force > 0.02 ? `\npush ${this.stage.force.toFixed(1)} × body weight` : ""}`;
     this.canvas.setAttribute("aria-label", `The motion at ${at.toFixed(2)} seconds; centre of mass at ${height.toFixed(2)} metres`);
     this.dispatchEvent(new Event("seek"));
   }

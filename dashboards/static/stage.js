@@ -116,16 +116,33 @@ export class Stage {
   }
 
   #furnish() {
-    const { bar, mat_height: mat } = this.replay.header;
+    const { bar, mat_height: mat, wall_half_thickness: wall = 0.02 } = this.replay.header;
     const { light } = SURROUNDINGS;
     const floor = this.#solid(new PlaneGeometry(40, 40).rotateX(-Math.PI / 2), light.floor);
     floor.castShadow = false;
     floor.position.y = -0.021;
     this.scene.add(floor);
+    if (!(mat > 0)) {
+      // No jump: a track without end, with a line across every metre to see the speed by.
+      const track = this.#box([40, 0.02, 3], [10, -0.01, 0], light.runway);
+      track.castShadow = false;
+      this.dressed = [["floor", floor.material], ["runway", track.material]];
+      for (let x = -9; x < 30; x++) {
+        const line = this.#box([0.03, 0.004, 3], [x, 0, 0], light.post);
+        line.castShadow = false;
+        this.dressed.push(["post", line.material]);
+      }
+      return;
+    }
+    const obstacle = wall > 0.0201; // the wall that stands for a bar is 0.02 m thick on either side
     const runway = this.#box([6.2, 0.02, 12], [-3, -0.01, 0], light.runway);
     runway.castShadow = false;
-    this.dressed = [["floor", floor.material], ["runway", runway.material], ["mat", this.#box([4, mat, 6], [2.05, mat / 2, 0], light.mat).material]];
+    this.dressed = [["floor", floor.material], ["runway", runway.material], ["mat", this.#box([4, mat, 6], [obstacle ? wall + 2 : 2.05, mat / 2, 0], light.mat).material]];
     if (!(bar > 0)) return;
+    if (obstacle) {
+      this.#box([2 * wall, bar, 4], [0, bar / 2, 0], 0xf2cc26);
+      return;
+    }
     this.#box([0.04, 0.04, 4], [0, bar - 0.02, 0], 0xf2cc26);
     for (const z of [-2, 2]) this.dressed.push(["post", this.#box([0.06, bar + 0.2, 0.06], [0, bar / 2 + 0.1, z], light.post).material]);
   }
@@ -178,6 +195,10 @@ export class Stage {
     const { arrays, frames, bodies, step } = this.replay;
     const before = this.com(this.time);
     this.time = time;
+    const along = Math.max(0, this.com(time).x);
+    // Shadows are sharp only near where the light looks: it goes with those who leave the bar behind.
+    this.sun.position.x = along - 3;
+    this.sun.target.position.x = along;
     const at = Math.max(0, Math.min(time / step, frames - 1));
     const [i, k] = [Math.floor(at), Math.min(Math.floor(at) + 1, frames - 1)];
     const share = at - i;
