@@ -19,13 +19,13 @@ export class Events {
   // The newest events; older ones than MOST stay on the server.
   async load() {
     this.known.clear();
-    let after = 0;
+    let from = "";
     for (;;) {
-      const page = await api(`${this.base}/events?after=${after}&limit=1000`);
+      const page = await api(`${this.base}/events?limit=1000${from}`);
       for (const event of page.events) this.known.set(event.id, event);
       for (const id of [...this.known.keys()].slice(0, Math.max(0, this.known.size - 20 * MOST))) this.known.delete(id);
       if (page.next === null) break;
-      after = page.next;
+      from = `&page=${page.next}`;
     }
     this.draw();
   }

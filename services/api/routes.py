@@ -12,16 +12,22 @@ from fastapi.responses import StreamingResponse
 from pydantic import Field
 from sqlalchemy.engine import make_url
 
+from services.api.cursors import PageCursor, after_key, key_of, page_of
 from services.api.errors import NotHere
 from services.api.models import (
     ArtifactOut,
+    ArtifactPage,
     AttemptOut,
+    AttemptPage,
     ErrorOut,
     EventOut,
     EventPage,
     Extension,
+    LeftOut,
+    LeftPage,
     Metrics,
     ProposalOut,
+    ProposalPage,
     ServerOut,
     StrategyList,
     StrategyOut,
@@ -40,7 +46,7 @@ from services.api.tables import csv_columns, csv_lines, table
 from services.api.windows import reader
 from services.errors import BadInput
 from services.states import TrialState
-from services.store.port import TrialRow
+from services.store.port import ArtifactRow, TrialRow
 
 ERRORS: dict[int | str, dict[str, object]] = {
     status: {"model": ErrorOut, "description": text}
@@ -73,7 +79,9 @@ Columns = Annotated[
     list[Annotated[str, Field(max_length=200)]] | None,
     Query(max_length=400, description="only these fields, in this order; e.g. number, value, params.rate"),
 ]
-AfterEvent = Annotated[int, Query(ge=0, le=LARGEST_ID, description="cursor: the newest event already known")]
+AfterEvent = Annotated[
+    int, Query(ge=0, le=LARGEST_ID, description="only events beyond this one: the `cursor` of another answer")
+]
 
 MEDIA_TYPES = {".png": "image/png", ".json": "application/json", ".gif": "image/gif", ".mp4": "video/mp4"}
 """What a browser may show by itself; everything else is a download."""
@@ -92,12 +100,15 @@ def server(service: Uses) -> ServerOut:
 
 
 @router.get("/studies", tags=["studies"])
-def studies(service: Uses) -> StudyList:
-    """All studies, newest first."""
+def studies(service: Uses, page: PageCursor = None, limit: Limit = 200) -> StudyList:
+    """Studies, newest first, a page at a time."""
     # The cursor first: what happens between the two reads is then told again, never missed.
     cursor, history = service.store.last_event(), service.store.history_id()
-    rows = service.store.studies()
-    return StudyList(cursor=cursor, history=history, studies=[StudySummary.of(row) for row in rows])
+    newest = LARGEST_ID if page is None else key_of("studies", page, int)[0]
+    rows, following = page_of(
+        [row for row in service.store.studies() if row.id < newest], limit, "studies", lambda row: (row.id,)
+    )
+    return StudyList(cursor=cursor, history=history, studies=[StudySummary.of(row) for row in rows], next=following)
 
 
 @router.post("/studies", status_code=201, tags=["studies"])
@@ -156,16 +167,18 @@ def extend(service: Uses, study: Study, more: Extension) -> StudyOut:
 def trials(
     service: Uses,
     study: Study,
-    after: Annotated[int, Query(ge=-1, le=LARGEST_ID, description="cursor: the last number already known")] = -1,
+    page: PageCursor = None,
+    after: Annotated[int, Query(ge=-1, le=LARGEST_ID, description="only trials with a number above it")] = -1,
     limit: Limit = 200,
     state: Annotated[list[TrialState] | None, Query(description="only trials in these states")] = None,
 ) -> TrialPage:
     """Trials by number, a page at a time."""
     row = service.store.study(study)
-    rows = service.store.trials(row.id, states=state, after=after, limit=limit + 1)
-    more = len(rows) > limit
-    rows = rows[:limit]
-    return TrialPage(trials=[TrialOut.of(trial) for trial in rows], next=rows[-1].number if more else None)
+    if page is not None:
+        after = max(after, *key_of("trials", page, int))
+    found = service.store.trials(row.id, states=state, after=after, limit=limit + 1)
+    rows, following = page_of(found, limit, "trials", lambda trial: (trial.number,))
+    return TrialPage(trials=[TrialOut.of(trial) for trial in rows], next=following)
 
 
 @router.get("/studies/{study}/window", tags=["trials"])
@@ -248,15 +261,41 @@ def metrics(
 
 
 @router.get("/studies/{study}/trials/{number}/attempts", tags=["trials"])
-def attempts(service: Uses, study: Study, number: Number) -> list[AttemptOut]:
-    """The attempts at a trial."""
-    return [AttemptOut.of(row) for row in service.store.attempts(_trial(service, study, number).id)]
+def attempts(service: Uses, study: Study, number: Number, page: PageCursor = None, limit: Limit = 200) -> AttemptPage:
+    """The attempts at a trial, by number, a page at a time."""
+    found = service.store.attempts(_trial(service, study, number).id)
+    behind = after_key(found, "attempts", page, lambda row: (row.number,), int)
+    rows, following = page_of(behind, limit, "attempts", lambda row: (row.number,))
+    return AttemptPage(attempts=[AttemptOut.of(row) for row in rows], next=following)
 
 
 @router.get("/studies/{study}/trials/{number}/artifacts", tags=["artifacts"])
-def artifacts(service: Uses, study: Study, number: Number) -> dict[str, ArtifactOut]:
-    """What a trial left, by name."""
-    return {row.name: ArtifactOut.of(row) for row in service.store.artifacts(_trial(service, study, number).id)}
+def artifacts(service: Uses, study: Study, number: Number, page: PageCursor = None, limit: Limit = 200) -> ArtifactPage:
+    """What a trial left, by name, a page at a time."""
+    # By code point: databases have orders of their own for text.
+    found = sorted(service.store.artifacts(_trial(service, study, number).id), key=lambda row: row.name)
+    behind = after_key(found, "artifacts", page, lambda row: (row.name,), str)
+    rows, following = page_of(behind, limit, "artifacts", lambda row: (row.name,))
+    return ArtifactPage(artifacts={row.name: ArtifactOut.of(row) for row in rows}, next=following)
+
+
+@router.get("/studies/{study}/artifacts", tags=["artifacts"])
+def study_artifacts(service: Uses, study: Study, page: PageCursor = None, limit: Limit = 200) -> LeftPage:
+    """What all trials of a study left, by trial and name, a page at a time."""
+    row = service.store.study(study)
+    numbers = {trial.id: trial.number for trial in service.trials.all_trials(row)}
+    left = [
+        (numbers[each.trial_id], each) for each in service.store.study_artifacts(row.id) if each.trial_id in numbers
+    ]
+    left.sort(key=_place)
+    behind = after_key(left, "study artifacts", page, _place, int, str)
+    rows, following = page_of(behind, limit, "study artifacts", _place)
+    found = [LeftOut(trial=number, name=each.name, **dict(ArtifactOut.of(each))) for number, each in rows]
+    return LeftPage(artifacts=found, next=following)
+
+
+def _place(left: tuple[int, ArtifactRow]) -> tuple[int, str]:
+    return left[0], left[1].name
 
 
 @router.get(
@@ -300,22 +339,30 @@ def _file_name(text: str) -> str:
 
 
 @router.get("/studies/{study}/strategies", tags=["studies"])
-def strategies(service: Uses, study: Study) -> StrategyList:
-    """The distinct strategies that a study has found; none where its task has no behaviour."""
+def strategies(service: Uses, study: Study, page: PageCursor = None, limit: Limit = 200) -> StrategyList:
+    """The distinct strategies that a study has found, best first; none where its task has no behaviour."""
     # The search's geometry comes with torch, which takes a second to import, once.
-    from services.report import behaviour_of, distinct_trials  # noqa: PLC0415
+    from services.report import Finding, behaviour_of, distinct_trials  # noqa: PLC0415
 
     cursor, history = service.store.last_event(), service.store.history_id()
     row = service.store.study(study)
     behaviour = behaviour_of(row)
     if behaviour is None:
-        return StrategyList(cursor=cursor, history=history, distance=None, strategies=[])
-    found = distinct_trials(row, service.trials.history(row))
+        return StrategyList(cursor=cursor, history=history, distance=None, strategies=[], next=None)
+
+    def place(finding: Finding) -> tuple[int, float, int]:
+        value = finding.trial.value
+        return (1, 0.0, finding.trial.number) if value is None else (0, -value, finding.trial.number)
+
+    every = sorted(distinct_trials(row, service.trials.history(row)), key=place)
+    behind = after_key(every, "strategies", page, place, int, (int, float), int)
+    found, following = page_of(behind, limit, "strategies", place)
     return StrategyList(
         cursor=cursor,
         history=history,
         distance=behaviour.distinct,
         strategies=[_strategy(service, finding.trial, len(finding.members)) for finding in found],
+        next=following,
     )
 
 
@@ -333,25 +380,31 @@ def _strategy(service: Uses, trial: TrialRow, members: int) -> StrategyOut:
 
 
 @router.get("/studies/{study}/proposals", tags=["studies"])
-def proposals(service: Uses, study: Study) -> list[ProposalOut]:
-    """What each proposal saw and gave."""
-    return [ProposalOut.of(row) for row in service.store.proposals(service.store.study(study).id)]
+def proposals(service: Uses, study: Study, page: PageCursor = None, limit: Limit = 200) -> ProposalPage:
+    """What each proposal saw and gave, oldest first, a page at a time."""
+    after = 0 if page is None else key_of("proposals", page, int)[0]
+    found = service.store.proposals(service.store.study(study).id, after=after, limit=limit + 1)
+    rows, following = page_of(found, limit, "proposals", lambda row: (row.id,))
+    return ProposalPage(proposals=[ProposalOut.of(row) for row in rows], next=following)
 
 
 @router.get("/studies/{study}/events", tags=["events"])
-def study_events(service: Uses, study: Study, after: AfterEvent = 0, limit: Limit = 200) -> EventPage:
-    """What happened in a study, oldest first."""
-    return _events(service, service.store.study(study).id, after, limit)
+def study_events(
+    service: Uses, study: Study, page: PageCursor = None, after: AfterEvent = 0, limit: Limit = 200
+) -> EventPage:
+    """What happened in a study, oldest first, a page at a time."""
+    return _events(service, service.store.study(study).id, page, after, limit)
 
 
 @router.get("/events", tags=["events"])
-def events(service: Uses, after: AfterEvent = 0, limit: Limit = 200) -> EventPage:
-    """What happened, oldest first. The WebSocket at the same path tells the same, live."""
-    return _events(service, None, after, limit)
+def events(service: Uses, page: PageCursor = None, after: AfterEvent = 0, limit: Limit = 200) -> EventPage:
+    """What happened, oldest first, a page at a time. The WebSocket at the same path tells the same, live."""
+    return _events(service, None, page, after, limit)
 
 
-def _events(service: Uses, study_id: int | None, after: int, limit: int) -> EventPage:
-    rows = service.store.events(after=after, study_id=study_id, limit=limit + 1)
-    more = len(rows) > limit
-    rows = rows[:limit]
-    return EventPage(events=[EventOut.of(row) for row in rows], next=rows[-1].id if more else None)
+def _events(service: Uses, study_id: int | None, page: str | None, after: int, limit: int) -> EventPage:
+    if page is not None:
+        after = max(after, *key_of("events", page, int))
+    found = service.store.events(after=after, study_id=study_id, limit=limit + 1)
+    rows, following = page_of(found, limit, "events", lambda row: (row.id,))
+    return EventPage(events=[EventOut.of(row) for row in rows], next=following)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from services.artifact_root import settle
+from services.budget import has_stages
 from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
 from services.cli.findings import findings_table
@@ -31,7 +32,7 @@ from services.errors import BadInput, Refused, StudyDriven, WrongState
 from services.lineage import lineage_words
 from services.listings import event_json, study_json, trial_json
 from services.report import behaviour_of, distinct_trials, units_of
-from services.stages import has_stages, stages_of_study
+from services.stages import stages_of_study
 from services.states import LIVE_STUDY, OBSERVED_TRIAL, StudyState, TrialState
 from services.store.port import StudyRow
 
