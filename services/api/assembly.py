@@ -11,11 +11,12 @@ from services.api.errors import add_error_handlers
 from services.api.guard import Guard, Hosts
 from services.api.live import Hub
 from services.api.looks import Looks
-from services.api.service import Artifacts, Service, Submit, halma_version
+from services.api.service import Artifacts, Service, Submit
 from services.api.tables import FinishedTrials
 from services.api.windows import Finder
 from services.auth import Gatekeeper
 from services.store.port import Store
+from services.version import halma_version
 
 HEALTH = frozenset({"/healthz", "/readyz"})
 

@@ -41,12 +41,13 @@ from services.api.models import (
     TrialTable,
     TrialWindow,
 )
-from services.api.service import Uses, halma_version
+from services.api.service import Uses
 from services.api.tables import csv_columns, csv_lines, table
 from services.api.windows import reader
 from services.errors import BadInput
 from services.states import TrialState
 from services.store.port import ArtifactRow, TrialRow
+from services.version import halma_version
 
 ERRORS: dict[int | str, dict[str, object]] = {
     status: {"model": ErrorOut, "description": text}

@@ -33,6 +33,7 @@ class StudySummary(Model):
     strategy: str
     pool: str
     priority: int
+    seed: int
     target_trials: int | None = Field(description="at most so many trials, those of later stages among them")
     search_trials: int | None = Field(description="at most so many trials of the search itself")
     target_cost: float | None
@@ -56,6 +57,7 @@ class StudySummary(Model):
             strategy=strategy_name(row.spec),
             pool=row.pool,
             priority=row.priority,
+            seed=row.seed,
             target_trials=most_trials(row),
             search_trials=row.target_trials,
             target_cost=row.target_cost,
@@ -83,14 +85,13 @@ def strategy_name(spec: Mapping[str, Any]) -> str:
 class StudyOut(StudySummary):
     """A study with what was asked for."""
 
-    seed: int
     spec: dict[str, JsonValue]
 
     @classmethod
     def of(cls, row: StudyRow) -> Self:
         """From the store's row."""
         summary = StudySummary.of(row)
-        return cls(**dict(summary), seed=row.seed, spec=dict(row.spec))
+        return cls(**dict(summary), spec=dict(row.spec))
 
 
 class StudyList(Position, Page):
