@@ -13,9 +13,10 @@ from fastapi import APIRouter, Path, Request
 from fastapi.responses import RedirectResponse, Response
 from sqlalchemy.engine import make_url
 
+from dashboards.examples import EXAMPLES
 from dashboards.rendering import page, static_root
 from services.api.models import StudyOut, StudySummary
-from services.api.routes import LARGEST_ID
+from services.api.parameters import LARGEST_ID
 from services.api.service import Service, Uses
 from services.states import TrialState
 from services.store.port import StudyRow, TrialRow
@@ -65,7 +66,7 @@ def submit(request: Request, service: Uses, study: str = "") -> Response:
     if study:
         row = service.store.study(study)
         text = as_yaml(row, f"{row.name}-2")
-    return page(request, "submit.html", text=text, can_submit=service.submit is not None)
+    return page(request, "submit.html", text=text, can_submit=service.submit is not None, examples=EXAMPLES)
 
 
 def as_yaml(study: StudyRow, name: str) -> str:
@@ -76,8 +77,13 @@ def as_yaml(study: StudyRow, name: str) -> str:
 
     asked = {name: given(study.spec[name]) for name in StudySpec.model_fields if name in study.spec}
     asked = {name: value for name, value in asked.items() if value not in (None, {})}
+    for parameter in asked.get("space", {}).values():
+        # A linear scale is what everybody takes for granted.
+        if isinstance(parameter, dict) and parameter.get("log") is False:
+            del parameter["log"]
     asked["name"] = name
-    text: str = yaml.safe_dump(asked, sort_keys=False, allow_unicode=True)
+    # The innermost mappings and lists in one line each, as people write them.
+    text: str = yaml.safe_dump(asked, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
     return text
 
 
@@ -175,6 +181,7 @@ def trial(request: Request, service: Uses, study: Study, number: Number) -> Resp
         family=family(service, row, one),
         command=repeat_command(service.store.url, row.name, number) if row.spec.get("trains") else "",
         value=value_of(service, row),
+        called=str(one.details.get("name") or ""),
         last=last,
         is_open=one.state in {TrialState.QUEUED, TrialState.RUNNING},
     )
@@ -204,6 +211,10 @@ def behaviour(study: StudyRow, one: TrialRow) -> list[dict[str, Any]]:
     """Name, coordinate and unit of each feature of a trial."""
     declared: Mapping[str, Any] = study.spec.get("behaviour") or {}
     features = one.features or ()
+    facing = one.details.get("facing")
+    if declared.get("kind") == "rotation" and isinstance(facing, float):
+        # Four coordinates of a rotation are for programs; they stand among the results.
+        return [{"name": "facing", "value": facing, "unit": "rad"}]
     names = list(declared.get("names", ()))
     names += [f"feature {index}" for index in range(len(names), len(features))]
     return [

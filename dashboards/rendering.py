@@ -55,6 +55,7 @@ def environment() -> Environment:
         glyph=words.glyph,
         feature=words.feature,
         listing=words.listing,
+        result=words.result,
         as_json=as_json,
     )
     env.globals.update(version=halma_version(), static=static_root())

@@ -179,6 +179,15 @@ class Client:
         """Give a study so many more trials, or samples. Raises `UnknownStudy`, `BadInput`."""
         return self._wire.post(f"{_study(study)}/extend", StudyOut, {"trials": trials, "cost": cost})
 
+    def amend(self, study: str, fields: Mapping[str, Any]) -> StudyOut:
+        """Change how a study is run, by dotted name: `{"priority": 5, "resources.pool": "gpu"}`.
+
+        Raises:
+            UnknownStudy: there is none of that name.
+            BadInput: a field that can't be changed, or not to that.
+        """
+        return self._wire.post(_study(study), StudyOut, {"fields": dict(fields)}, method="PATCH")
+
     # Trials
 
     def trials(self, study: str, *, states: Sequence[TrialState | str] = (), after: int = -1) -> Iterator[TrialOut]:

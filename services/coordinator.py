@@ -309,9 +309,11 @@ class Coordinator:
             if row.drive_token != drive.token:
                 self._drop(drive, "another driver has taken it over")
                 continue
-            drive.row = row
-            if drive.leaving is None and row.wanted == "pause":
-                self._send_away(drive, Leaving(StudyState.PAUSED, "paused by request"))
+            drive.follow(row)
+            if drive.leaving is not None and drive.leaving.asked and row.wanted == "run":
+                drive.stay()
+            elif drive.leaving is None and row.wanted == "pause":
+                self._send_away(drive, Leaving(StudyState.PAUSED, "paused by request", asked=True))
             elif row.wanted == "cancel" and not (drive.leaving and drive.leaving.cancels):
                 self._send_away(drive, Leaving(StudyState.CANCELLED, "cancelled by request", cancels=True))
 
@@ -407,6 +409,15 @@ class Coordinator:
                 self._let_go(drive, drive.leaving)
 
     def _let_go(self, drive: Drive, leaving: Leaving) -> None:
+        # A last look: whoever extended the study, or took a pause back, was told that its driver goes on.
+        row = self._store.wanted([drive.row.id]).get(drive.row.id)
+        if row is not None and row.drive_token == drive.token:
+            drive.follow(row)
+            thought_better = leaving.asked and row.wanted == "run"
+            if thought_better or (leaving.state is StudyState.COMPLETE and not drive.finished()):
+                drive.stay()
+                return
+
         def write(change: Change) -> list[Effect]:
             if leaving.cancels:
                 for trial in drive.open.values():

@@ -48,6 +48,8 @@ class Leaving:
     reason: str
     cancels: bool = False
     """Whether open trials are cancelled rather than kept for a later drive."""
+    asked: bool = False
+    """Whether people asked for it, who may think better of it before it is done."""
 
 
 @dataclass(slots=True)
@@ -86,6 +88,12 @@ class Drive:
     leaving: Leaving | None = None
     leave_by: float = math.inf
     """Monotonic time at which attempts that have not stopped yet are ended."""
+
+    def follow(self, row: StudyRow) -> None:
+        """Take note of the row as it stands: what people want, budgets, and how the study is to be run."""
+        if row.spec != self.row.spec:
+            self.spec = StudySpec.from_json(row.spec)
+        self.row = row
 
     @property
     def key(self) -> str:
@@ -158,6 +166,10 @@ class Drive:
             parent_artifacts=parent_artifacts,
             iteration=trial.iteration,
         )
+
+    def stay(self) -> None:
+        """Not leave after all. What was asked to stop comes back as it stops, and is started again."""
+        self.leaving, self.leave_by = None, math.inf
 
     def end_of(self, trial: TrialRow) -> None:
         """A trial got its place in the history."""

@@ -114,7 +114,8 @@ class Held:
         if row.id != drive.row.id or row.drive_token != drive.token:
             return  # the next look at what people want finds out, and drops it
         # What it was said to wait for may have been undone with the commit that said it.
-        drive.row, drive.asked, drive.remarked = row, None, row.reason
+        drive.follow(row)
+        drive.asked, drive.remarked = None, row.reason
         drive.history = self.store.history(row.id)
         drive.open = {trial.number: trial for trial in self.store.trials(row.id, states=OPEN_TRIAL)}
         drive.next_number = sum(row.counts.values())

@@ -1,12 +1,12 @@
 """A service's record as a store: what commands read and ask of a database, they can read and ask of a server.
 
 Rows carry no ids of the database, which are nobody's business but its own; this store makes up its own. It has the
-transitions that people may ask for (`ask`, `extend`), each a request of its own, and none of a driver's.
+transitions that people may ask for (`ask`, `extend`, `amend`), each a request of its own, and none of a driver's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, cast
 
@@ -197,8 +197,14 @@ class _Asks:
         """Raise the targets. Raises `UnknownStudy`, `BadInput`."""
         return self._store.row_of(self._client.extend(name, trials=trials, cost=cost))
 
+    def amend(self, name: str, fields: Mapping[str, Any]) -> StudyRow:
+        """Change how a study is run. Raises `UnknownStudy`, `BadInput`."""
+        return self._store.row_of(self._client.amend(name, fields))
+
     def __getattr__(self, transition: str) -> Any:
-        raise BadInput(f"expected pause, resume, cancel or extend of a service, found {transition}; give --db instead")
+        raise BadInput(
+            f"expected pause, resume, cancel, extend or set of a service, found {transition}; give --db instead"
+        )
 
 
 def _driver(told: DriverOut | None) -> Driver | None:

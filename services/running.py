@@ -13,6 +13,7 @@ from types import FrameType
 from services.artifacts import open_artifacts
 from services.coordinator import Coordinator
 from services.dispatch.inline import InlineDispatcher
+from services.driver import driving_words, lives
 from services.errors import HalmaError, InterruptedByUser
 from services.proposing import InlineStrategist
 from services.ray_environment import prepare
@@ -21,6 +22,11 @@ from services.store.open import open_store
 from services.store.port import StudyRow
 
 INTERRUPTED = "interrupted"
+
+
+class TakenOver(HalmaError):
+    """Another process has taken the study over."""
+
 
 Leave = Callable[[], None]
 
@@ -76,6 +82,7 @@ def drive(
     Raises:
         InterruptedByUser: Ctrl-C or SIGTERM; the study is paused and resumable.
         StudyDriven: another driver holds it.
+        TakenOver: another driver took it over meanwhile.
     """
     here = {"default": os.cpu_count() or 1}
     if inline:
@@ -95,6 +102,11 @@ def drive(
         store.close()
     if row.state is StudyState.PAUSED and row.reason == INTERRUPTED:
         raise InterruptedByUser(f"Interrupted. Go on with: halma resume {name}")
+    if row.driver is not None and lives(row.driver) is not False:
+        raise TakenOver(
+            f"Study {name} was taken over by {driving_words(row)}; this process has stopped driving it, and nothing "
+            f"is lost. Follow it: halma watch {name}"
+        )
     if row.driver is not None:
         raise HalmaError(f"Study {name}: its driver ended unexpectedly. Go on with: halma resume {name}")
     return row

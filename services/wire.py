@@ -98,9 +98,11 @@ class Wire:
         """Ask for one thing."""
         return self._read(self._send("GET", path, query), path, answer)
 
-    def post(self, path: str, answer: type[Answer], body: Mapping[str, Any] | None = None) -> Answer:
+    def post(
+        self, path: str, answer: type[Answer], body: Mapping[str, Any] | None = None, method: str = "POST"
+    ) -> Answer:
         """Ask for something to be done."""
-        return self._read(self._send("POST", path, {}, body), path, answer)
+        return self._read(self._send(method, path, {}, body), path, answer)
 
     def read(self, path: str) -> bytes:
         """A file."""
@@ -135,7 +137,7 @@ class Wire:
                 f"--server: expected a URL such as http://127.0.0.1:8642, found {self.url} ({error})"
             ) from None
         except httpx.ReadTimeout:
-            done = "; see with `halma ls` whether the study was taken" if method == "POST" else "; try again"
+            done = "; see with `halma ls` whether the study was taken" if path == "/api/v1/studies" else "; try again"
             raise ServerUnavailable(
                 f"expected an answer of the service at {self.url} within {TIMEOUT.read:.0f} s, found none{done}"
             ) from None

@@ -18,6 +18,7 @@ GYMNASIUM = "gymnasium:"
 BUILT_IN: Mapping[str, str] = {
     "high_jump": "workers.tasks.high_jump:HighJump",
     "point_jump": "workers.tasks.point_jump:PointJump",
+    "walker": "workers.tasks.walker.task:Walker",
 }
 """By name; imported when they are asked for, since physics and torch take seconds to import."""
 

@@ -17,7 +17,7 @@ export class BehaviourChart {
     if (behaviour.kind === "rotation") this.#turnable();
   }
 
-  hint() { return spaceOf(this.behaviour, { low: 0, high: 1, axes: [] }).hint(); }
+  hint() { return spaceOf(this.behaviour, { low: 0, high: 1, axes: [], label: this.valueTitle }).hint(); }
 
   draw() {
     if (this.queued) return;
@@ -97,7 +97,9 @@ export class BehaviourChart {
       this.places.set(trial.number, { x, y, visible, r: rank ? 10 : 4, trial });
       (rank && visible ? front : behind).append(this.#mark(trial, rank, x, y, visible, space));
     }
-    root.append(behind, lines, front);
+    const words = svg("g");
+    space.words(words);
+    root.append(behind, lines, words, front);
     this.at.replaceChildren(root);
     if (this.lit !== undefined && this.lit >= 0) this.light(this.lit);
   }

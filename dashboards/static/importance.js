@@ -51,6 +51,7 @@ export class Importance {
 
   #draw() {
     const width = this.at.clientWidth;
+    if (!this.found && !this.at.firstChild) this.at.append(element("p", { className: "empty", textContent: "Working out what matters …" }));
     if (!this.found || !width) return;
     const parameters = [...this.found.parameters].sort((a, b) => b.permutation - a.permutation);
     if (!parameters.length) {

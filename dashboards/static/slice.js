@@ -6,6 +6,7 @@ import { STATES, number } from "./format.js";
 import { api } from "./live.js";
 import { element, setText } from "./plain.js";
 import { Sliders } from "./sliders.js";
+import { answers } from "./trials.js";
 import { thinned } from "./valuechart.js";
 
 // Cividis, which reads the same with every kind of colour vision; and one hue for what isn't known.
@@ -53,7 +54,7 @@ export class SliceView {
   }
 
   #best() {
-    return this.trials.history().filter((trial) => trial.state === "complete" && trial.value !== null)
+    return this.trials.history().filter(answers)
       .reduce((best, trial) => (best === null || trial.value > best.value ? trial : best), null);
   }
 
@@ -109,7 +110,7 @@ export class SliceView {
 
   #axes() {
     const axis = (name) => ({ title: this.units[name] ? `${name} (${this.units[name]})` : name, more: this.space[name]?.log ? { type: "log" } : {} });
-    return { x: axis(this.x.value), y: axis(this.y.value), legend: true, margin: { r: 8 } };
+    return { x: axis(this.x.value), y: axis(this.y.value), legend: true, margin: { r: 8, t: 46 } };
   }
 
   #heat(values, scale) {
@@ -195,7 +196,7 @@ export class SliceView {
 
   #deviation() {
     if (!this.#has("deviation")) return { traces: [], empty: "No surrogate yet.", ...this.#axes() };
-    this.#legend("scale-unsure", this.slice.deviation, "± ", "unsure");
+    this.#legend("scale-unsure", this.slice.deviation, "standard deviation", "unsure");
     const traces = this.#samples(false).map((trace) => ({ ...trace, showlegend: false }));
     return { traces: [this.#heat(this.slice.deviation, this.dark() ? UNSURE_DARK : UNSURE), ...traces], ...this.#axes() };
   }

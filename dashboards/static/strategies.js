@@ -36,7 +36,6 @@ export class Strategies {
   }
 
   draw({ strategies, distance: apart }) {
-    document.getElementById("fact-distinct-box").hidden = false;
     setText("fact-distinct", String(strategies.length));
     const gallery = document.getElementById("gallery");
     const moving = strategies.filter((found) => found.replay).slice(0, 4).map((found) => found.number);
@@ -51,6 +50,8 @@ export class Strategies {
     }
     const focused = document.activeElement?.closest?.(".strategy")?.dataset.number;
     const cards = new Map([...gallery.querySelectorAll(".strategy")].map((card) => [card.dataset.key, card]));
+    // A task without pictures: its cards are words only.
+    gallery.classList.toggle("plain", !strategies.some((found) => found.pose));
     // A card that hasn't changed stays the same element: its picture isn't loaded again and nothing jumps.
     gallery.replaceChildren(...strategies.map((found, index) => cards.get(this.#key(found, index)) ?? this.#card(found, index)));
     if (focused) gallery.querySelector(`[data-number="${focused}"]`)?.focus();
@@ -61,10 +62,11 @@ export class Strategies {
 
   #card(found, index) {
     const { behaviour } = this;
-    const name = told(found.details.name) ?? poseName(found.details.rotation) ?? (behaviour.names[0] === "facing" ? facingName(found.features[0]) : `Strategy ${index + 1}`);
-    const where = behaviour.kind === "rotation"
-      ? (typeof found.details.facing === "number" ? `facing ${feature(found.details.facing, "rad")}` : "")
-      : behaviour.names.map((one, i) => `${one} ${feature(found.features[i], behaviour.unit)}`).join(", ");
+    const coordinates = behaviour.names.map((one, i) => `${one.replaceAll("_", " ")} ${feature(found.features[i], behaviour.unit)}`).join(", ");
+    // An inclination has a name; a direction all the way round is best told by its degrees.
+    const inclined = behaviour.names[0] === "facing" && behaviour.kind === "euclidean";
+    const name = told(found.details.name) ?? poseName(found.details.rotation) ?? (inclined ? facingName(found.features[0]) : told(coordinates));
+    const where = behaviour.kind === "rotation" ? (typeof found.details.facing === "number" ? `facing ${feature(found.details.facing, "rad")}` : "") : name === told(coordinates) ? "" : coordinates;
     const picture = element("span", { className: "picture" });
     if (found.pose) picture.append(element("img", { src: `/api/v1${this.base}/trials/${found.number}/artifacts/pose.png`, alt: `The pose of trial ${found.number}: ${name}`, loading: "lazy", width: 480, height: 360 }));
     else picture.append("no picture");

@@ -45,7 +45,20 @@ function drawPace() {
   setText("fact-left", left);
 }
 
-const context = { base, study: study.name, trials, behaviour, units, space: study.spec.space ?? {}, value: page.value, hasDifficulty: Boolean(study.spec.has_difficulty) };
+// How many distinct strategies there are; the strategies' own view counts them itself.
+let counting = 0;
+function countDistinct(wait = 0) {
+  if (!behaviour || page.view === "overview") return;
+  counting ||= setTimeout(async () => {
+    counting = 0;
+    try {
+      const { pulses: [one] } = await api(`/pulse?study=${encodeURIComponent(study.name)}`);
+      if (one) setText("fact-distinct", number(one.distinct));
+    } catch { /* the line at the top says that the service doesn't answer */ }
+  }, wait);
+}
+
+const context = { base, study: study.name, trials, behaviour, units, space: study.spec.space ?? {}, task: study.task, value: page.value, hasDifficulty: Boolean(study.spec.has_difficulty), staged: Boolean(Object.keys(study.spec.stages ?? {}).length) };
 const panelOf = (id) => document.getElementById(id).closest(".panel");
 
 // The best value against what it cost, with buttons for what the cost is counted in.
@@ -123,6 +136,8 @@ const views = {
     return { draw() {}, onEvents: (frame) => events.add(frame), reload: () => events.load() };
   },
   async file() {
+    const { fileButtons } = await import("./studyfile.js");
+    fileButtons(document.getElementById("file"), study.name);
     return { draw() {} };
   },
 };
@@ -130,6 +145,7 @@ const views = {
 facts();
 const ready = Promise.all([views[page.view](), trialsLoaded, study.state === "running" ? pace.load() : null]).then(([view, position]) => {
   drawPace();
+  countDistinct();
   view.draw({ history: true });
   document.body.dataset.ready = "yes";
   return [view, position];
@@ -150,6 +166,7 @@ ready.then(([view, position]) => new Live({
       document.getElementById("actions").replaceChildren();
     } else if (frame.type === "events") {
       pace.add(frame.trials);
+      if (frame.trials.some((trial) => trial.position !== null)) countDistinct(4000);
       if (CHARTS.has(page.view)) {
         const before = trials.history().length;
         trials.apply(frame.trials);
@@ -172,6 +189,7 @@ ready.then(([view, position]) => new Live({
     const at = CHARTS.has(page.view) ? await trials.load() : await api("/server");
     await Promise.all([view.reload?.(), pace.load()]);
     drawPace();
+    countDistinct();
     view.draw({ history: true });
     view.onStudy?.();
     return at;

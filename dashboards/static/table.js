@@ -6,7 +6,7 @@ import { TrialWindow } from "./window.js";
 
 const ROW = 30;
 const SPARE = 12;
-const WIDEST = 340;
+const WIDEST = 300;
 const PADDING = 22;
 
 export class TrialTable {
@@ -86,7 +86,7 @@ export class TrialTable {
       const trial = this.rows.row(index);
       if (!trial) continue;
       for (const name of Object.keys(trial.params)) if (!(name in this.context.space) && !parameters.includes(name)) parameters.push(name);
-      for (const name of Object.keys(trial.details)) if (!details.includes(name)) details.push(name);
+      for (const [name, value] of Object.entries(trial.details)) if (!details.some((one) => one.name === name)) details.push({ name, num: typeof value === "number" });
       if (trial.message) this.known.troubled = true;
     }
     if (parameters.length + details.length + Number(this.known.troubled) !== before || !this.signature) this.draw();

@@ -5,7 +5,7 @@ import { data, localTimes } from "./plain.js";
 
 const page = data();
 const path = `/studies/${encodeURIComponent(page.study)}/trials/${page.trial}`;
-const curves = new Curves(document.getElementById("curves"), document.getElementById("metric-choice"), path, page.task);
+const curves = new Curves(document.getElementById("curves"), document.getElementById("metric-choice"), path, { task: page.task, called: `${page.study}-${page.trial}` });
 
 async function motion() {
   const form = document.getElementById("beside");

@@ -20,7 +20,7 @@ from services.api.models import (
     NodeOut,
     SliceOut,
 )
-from services.api.routes import ERRORS, Study
+from services.api.parameters import ERRORS, Study
 from services.api.service import Service, Uses
 from services.errors import BadInput
 from services.store.port import MetricRow, TrialRow

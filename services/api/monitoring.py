@@ -11,7 +11,7 @@ from fastapi import APIRouter, Response
 
 from services.api.cursors import PageCursor, after_key, page_of
 from services.api.models import BusyOut, ClusterOut, PoolOut, QueueOut, ShareOut, WorkerList, WorkerOut
-from services.api.routes import Limit
+from services.api.parameters import Limit
 from services.api.service import Service, Uses
 from services.states import AttemptState, StudyState, TrialState
 from services.store.port import StudyRow

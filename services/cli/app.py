@@ -74,6 +74,7 @@ for group, commands in (
 ):
     for command in commands:
         app.command(rich_help_panel=group)(command)
+app.command("set", rich_help_panel="Steer")(studies.set_fields)
 app.command("gc", rich_help_panel="Keep")(files.gc)
 app.command("verify", rich_help_panel="Keep")(files.verify_files)
 app.add_typer(poses.app, name="poses", rich_help_panel="Know")

@@ -46,6 +46,10 @@ RayAddress = Annotated[
     ),
 ]
 
+TakeOver = Annotated[
+    bool, typer.Option("--take-over", help="Take the study from a driver that lives; that one is fenced off.")
+]
+
 PIPED_WIDTH = 200
 """Columns where nobody's window says how many there are: tables in a pipe or a log shouldn't be cut."""
 
@@ -96,7 +100,7 @@ def only_here(command: str) -> None:
         )
 
 
-SERVED = "ls, show, trials, watch, plot, export, submit, pause, resume, cancel, extend"
+SERVED = "ls, show, trials, watch, plot, export, submit, pause, resume, cancel, extend, set"
 
 
 @dataclass(frozen=True, slots=True)

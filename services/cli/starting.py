@@ -11,11 +11,22 @@ from typing import Annotated
 
 import typer
 
-from services.admission import admit, find, refuse_changes
+from services.admission import admit, apply_changes, changes_of, find
 from services.artifact_root import settle
-from services.cli.driving import drive_here
+from services.cli.driving import drive_here, refuse_driven
 from services.cli.findings import report
-from services.cli.session import Artifacts, AsJson, Db, RayAddress, named_server, only_here, print_json, say, session
+from services.cli.session import (
+    Artifacts,
+    AsJson,
+    Db,
+    RayAddress,
+    TakeOver,
+    named_server,
+    only_here,
+    print_json,
+    say,
+    session,
+)
 from services.errors import BadInput, NameTaken
 from services.problems import BadStudy
 from services.settings import find_settings
@@ -38,6 +49,7 @@ def run(
     overrides: Overrides = None,
     name: NewName = None,
     inline: Annotated[bool, typer.Option("--inline", help="Run trials in this process, without Ray.")] = False,
+    take_over: TakeOver = False,
     cores: Annotated[int | None, typer.Option("--cores", min=1, help="Cores to use; default: all.")] = None,
     ray: RayAddress = None,
     db: Db = None,
@@ -54,11 +66,17 @@ def run(
         if row is None:
             admit(opened.store, spec)
         else:
-            refuse_changes(row, read.spec or spec, read.source.origin(("name",)))
+            origin, anew = read.source.origin(("name",)), f"halma run {file} --name NEW"
+            changes = changes_of(row, read.spec or spec, origin, anew)
+            if not take_over:
+                refuse_driven(opened, row)
+            if changes:
+                row = apply_changes(opened.store, row, changes)
+                say(f"{row.name} changes with its file: {'; '.join(changes.words)}")
             if row.state is StudyState.COMPLETE:
                 report(opened, row)
                 return
-        drive_here(opened, spec.name, inline=inline, take_over=False, cores=cores, ray_address=ray)
+        drive_here(opened, spec.name, inline=inline, take_over=take_over, cores=cores, ray_address=ray)
 
 
 def submit(

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from services.amending import AMENDABLE, SHORT, field_of, read_amendments
 from services.artifact_root import settle
 from services.budget import has_stages
 from services.cli.driving import drive_here, is_driven_elsewhere
@@ -19,6 +20,7 @@ from services.cli.session import (
     Db,
     RayAddress,
     Session,
+    TakeOver,
     console,
     print_json,
     print_json_line,
@@ -27,7 +29,7 @@ from services.cli.session import (
 )
 from services.cli.tables import done_of, fields_table, stages_table, state_text, studies_table, trials_table
 from services.cli.words import count, duration, several, state_words, value_of
-from services.driver import this_process
+from services.driver import driving_words, this_process
 from services.errors import BadInput, HalmaError, Refused, StudyDriven, WrongState
 from services.lineage import lineage_words
 from services.listings import artifacts_by_trial, event_json, study_json, trial_json
@@ -93,7 +95,7 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         "distinct": several(len(found), "strategy") if behaviour_of(row) else None,
         "cost": f"{count(row.samples)} samples, {duration(row.seconds)} of training",
         "warm starts": lineage,
-        "driven by": f"process {row.driver.pid} on {row.driver.host}" if row.driver else None,
+        "driven by": driving_words(row) if row.driver else None,
         "seed": str(row.seed),
         "created": row.created_at.astimezone().strftime("%Y-%m-%d %H:%M:%S"),
         "finished": row.finished_at.astimezone().strftime("%Y-%m-%d %H:%M:%S") if row.finished_at else None,
@@ -237,6 +239,31 @@ def extend(
     say(f"{name} now has a budget of {' and '.join(budget)}." + ("" if driven else f" Go on: halma resume {name}"))
 
 
+def set_fields(
+    name: StudyName,
+    fields: Annotated[
+        list[str], typer.Argument(metavar="FIELD=VALUE...", help=f"Fields: {', '.join((*SHORT, *AMENDABLE))}.")
+    ],
+    db: Db = None,
+    as_json: AsJson = False,
+) -> None:
+    """Change how a study is run: its priority, share, pool, width, retries. A running study follows at once.
+
+    For example: halma set STUDY priority=5 pool=gpu
+    """
+    with session(db) as opened:
+        before = opened.store.study(name)
+        asked = read_amendments(before, fields)
+        with opened.store.transaction() as change:
+            row = change.amend(name, asked)
+    if as_json:
+        print_json(study_json(row, spec=True))
+        return
+    for field in asked:
+        was, now = (value_of(field_of(each.spec, field)) for each in (before, row))
+        say(f"{name}: {field} is {now}" + ("" if was == now else f" (it was {was})"))
+
+
 def _resume_there(opened: Session, row: StudyRow, *, here: bool) -> None:
     """Let a service go on with a study."""
     if here:
@@ -249,9 +276,7 @@ def _resume_there(opened: Session, row: StudyRow, *, here: bool) -> None:
 def resume(
     name: StudyName,
     inline: Annotated[bool, typer.Option("--inline", help="Run trials in this process, without Ray.")] = False,
-    take_over: Annotated[
-        bool, typer.Option("--take-over", help="Take the study from a driver that seems to live.")
-    ] = False,
+    take_over: TakeOver = False,
     ray: RayAddress = None,
     db: Db = None,
     artifacts: Artifacts = None,

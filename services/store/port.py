@@ -241,6 +241,12 @@ class Change(Protocol):
     def extend(self, name: str, *, trials: int = 0, cost: float = 0.0) -> StudyRow:
         """Raise the targets; a complete study becomes `queued` again."""
 
+    def amend(self, name: str, fields: Mapping[str, JSON]) -> StudyRow:
+        """Change fields of a study's spec, by dotted name; `priority` and `resources.pool` of its row with them.
+
+        Which fields may be changed is the caller's business. The event `amended` says what was and what is.
+        """
+
     def drive(self, name: str, driver: Driver, *, take_over_from: int | None = None) -> int:
         """Become the driver; the study becomes `running`. Returns the new drive token.
 

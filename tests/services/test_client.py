@@ -322,5 +322,5 @@ class TestARealServer:
         same(remote.proposals(row.id, limit=4), store.proposals(record.id, limit=4))
         same(remote.events(after=3, study_id=row.id), store.events(after=3, study_id=record.id))
         assert remote.history_id() == store.history_id()
-        with remote.transaction() as change, pytest.raises(BadInput, match="extend of a service, found drive"):
+        with remote.transaction() as change, pytest.raises(BadInput, match="extend or set of a service, found drive"):
             change.drive("jump", None)

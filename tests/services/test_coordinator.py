@@ -389,6 +389,55 @@ def test_pause_stops_at_checkpoints_and_the_next_driver_goes_on(world):
     assert world.trials()[0].retries == 0
 
 
+def test_a_pause_that_is_taken_back_in_time_only_costs_a_stop(world):
+    world.steps()
+    first, second = world.dispatcher.given
+    ask(world, "pause")
+    world.steps(1)
+    world.dispatcher.inbox.append(Stopped(first.attempt, first.token))
+    world.steps(1)
+    ask(world, "run")
+    world.dispatcher.inbox.append(Stopped(second.attempt, second.token))
+    world.steps(4)
+    row = world.store.study("s")
+    assert (row.state, row.driver is not None) == (StudyState.RUNNING, True)
+    assert world.attempts(0) == world.attempts(1) == [AttemptState.PREEMPTED, AttemptState.RUNNING]
+
+
+def test_an_extension_between_the_last_result_and_the_release_is_not_lost(world):
+    world.steps()
+    for _ in range(2):
+        for given in world.dispatcher.given:
+            if given.attempt not in world.dispatcher.over:
+                world.dispatcher.end(given)
+        world.steps(1)
+    (last,) = [given for given in world.dispatcher.given if given.attempt not in world.dispatcher.over]
+    world.dispatcher.end(last)
+    world.coordinator._control_due = world.clock.now + 60  # it has just looked
+    with world.store.transaction() as change:
+        change.extend("s", trials=2)
+    world.steps(3)
+    assert world.store.study("s").state is StudyState.RUNNING
+    assert world.states() == ["complete"] * 3 + ["running"] * 2
+
+
+def ask(world, wanted):
+    with world.store.transaction() as change:
+        change.ask("s", wanted)
+
+
+def test_a_running_study_follows_what_is_changed_of_it(world):
+    world.steps()
+    with world.store.transaction() as change:
+        change.amend("s", {"resources.parallel": 3, "retries.limit": 0})
+    world.steps()
+    assert [given.trial for given in world.dispatcher.given] == [0, 1, 2]
+    given = world.dispatcher.given[0]
+    world.dispatcher.inbox.append(Vanished(given.attempt, given.token, reason="gone"))
+    world.steps(1)
+    assert world.states()[0] == "failed"
+
+
 def test_a_worker_that_reaches_no_checkpoint_in_time_is_ended(world):
     world.steps()
     world.coordinator.leave(StudyState.PAUSED, "interrupted")

@@ -120,6 +120,13 @@ class Budget:
     samples: int | None = setting(None, Rule("int", 1, optional=True))
     iterations: int | None = setting(None, Rule("int", 1, optional=True))
 
+    def part(self, share: float) -> Budget:
+        """A share in (0, 1] of it, at least one sample and one iteration."""
+        samples, iterations = (
+            None if whole is None else max(1, round(share * whole)) for whole in (self.samples, self.iterations)
+        )
+        return Budget(samples, iterations)
+
 
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:

@@ -26,6 +26,7 @@ from services.api.models.insight import (
     SliceOut,
 )
 from services.api.models.studies import (
+    Amendment,
     DriverOut,
     Extension,
     ProposalOut,
@@ -53,6 +54,7 @@ from services.api.models.trials import (
 )
 
 __all__ = [
+    "Amendment",
     "ArtifactOut",
     "ArtifactPage",
     "AttemptOut",

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, JsonValue
 
+from services.amending import AMENDABLE
 from services.api.models.basis import Cost, Model, Page, Position
 from services.budget import most_trials
 from services.states import StudyState
@@ -170,4 +171,13 @@ class Extension(Model):
     trials: Annotated[int, Field(ge=0, le=10**9)] = 0
     cost: Annotated[float, Field(ge=0, allow_inf_nan=False, le=1e18)] = Field(
         default=0.0, description="simulation samples"
+    )
+
+
+class Amendment(Model):
+    """How a study is to be run from now on."""
+
+    fields: Annotated[dict[str, JsonValue], Field(min_length=1, max_length=len(AMENDABLE))] = Field(
+        description=f"values by dotted name: {', '.join(AMENDABLE)}",
+        examples=[{"priority": 5, "resources.pool": "gpu"}],
     )

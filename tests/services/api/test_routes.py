@@ -194,6 +194,17 @@ class TestActions:
         assert client.post(f"{STUDY}/cancel").json()["state"] == "cancelled"
         assert client.post(f"{STUDY}/resume").json()["state"] == "queued"
 
+    def test_how_a_study_is_run_can_be_changed(self, client, store, record):
+        answer = client.patch(STUDY, json={"fields": {"priority": 7, "resources.pool": "gpu"}})
+        assert (answer.status_code, answer.json()["priority"], answer.json()["pool"]) == (200, 7, "gpu")
+        assert store.study(record.name).spec["resources"]["pool"] == "gpu"
+
+    @pytest.mark.parametrize("fields", [{"seed": 3}, {"priority": "high"}, {"priority": 10**6}, {}])
+    def test_what_makes_a_study_what_it_is_can_not(self, client, store, record, fields):
+        before = store.last_event()
+        assert client.patch(STUDY, json={"fields": fields}).status_code == 422
+        assert store.last_event() == before
+
     def test_extending_raises_the_target(self, client, store, record):
         assert client.post(f"{STUDY}/extend", json={"trials": 6}).json()["target_trials"] == 30
 

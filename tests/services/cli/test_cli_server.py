@@ -79,10 +79,11 @@ def test_a_study_is_steered_there(both, monkeypatch):
         f"The service at {both.url} goes on with other. Follow it: halma watch other\n"
     )
     assert both("extend", "other", "--trials", "3", "--json").json["target_trials"] == 8
+    assert both("set", "other", "priority=5").out == "other: priority is 5 (it was 0)\n"
     assert both("cancel", "other").out == "other was cancelled.\n"
     monkeypatch.delenv("HALMA_SERVER")
     (other,) = (row for row in both("ls", "--json").json if row["name"] == "other")
-    assert (other["state"], other["target_trials"]) == ("cancelled", 8)
+    assert (other["state"], other["target_trials"], other["priority"]) == ("cancelled", 8, 5)
     for name in ("hill", "nope"):
         refused = both("--server", both.url, "pause", name)
         assert (refused.code, refused.err) == (2, both("pause", name).err)

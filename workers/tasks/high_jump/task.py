@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import gymnasium
 import numpy as np
-from safetensors.numpy import load, save
 
 from workers.audit import Audit, audit
 from workers.contracts import JSON, BadJob, Context, Job, Outcome, TaskInfo
-from workers.learning.policy import Policy
+from workers.learning.policy import Policy, note_of, with_note
 from workers.learning.ppo import POLICY_ARTIFACT, train
 from workers.learning.problem import Curriculum, Diverged, SuccessCurriculum, Trained
 from workers.learning.rollout import play
@@ -278,21 +276,19 @@ def _infeasible(problem: HighJumpProblem, trained: Trained, refused: Jump | None
     return Outcome("infeasible", cost=trained.cost, message=message, details=details)
 
 
-_BAR_TENSOR = "high_jump.bar"
+_BAR = "high_jump.bar"
 
 
 def with_bar(policy: bytes, bar: float) -> bytes:
     """A stored policy that knows the bar (m) of its best jump; the learner reads it like any other."""
-    header = json.loads(policy[8 : 8 + int.from_bytes(policy[:8], "little")])  # the format's own layout
-    return save({**load(policy), _BAR_TENSOR: np.array(bar)}, header["__metadata__"])
+    return with_note(policy, _BAR, bar)
 
 
 def bar_of(policy: bytes) -> float:
     """The bar that `with_bar` noted. Raises `BadJob` where there is none."""
-    Policy.from_bytes(policy)  # refuses what is no policy at all
-    tensors = load(policy)
-    if _BAR_TENSOR not in tensors:
+    bar = note_of(policy, _BAR)
+    if bar is None:
         raise BadJob(
             "policy: expected one of a trial that cleared a bar, found one without; it has no jump to simulate"
         )
-    return float(tensors[_BAR_TENSOR])
+    return bar
