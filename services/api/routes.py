@@ -1,4 +1,4 @@
-"""Routes about studies, what people ask of them, and events. All are plain functions: FastAPI runs them in threads, never on the event loop."""
+"""Routes about studies, what people ask of them, and events. Plain functions: FastAPI runs them in threads."""
 
 from __future__ import annotations
 
