@@ -53,7 +53,7 @@ export class Strategies {
     this.#busy = true;
     this.#asked = length;
     try {
-      this.found = await api(`${this.base}/strategies`);
+      this.found = await api(`${this.base}/strategies?limit=1000`);
       this.draw(this.found);
       tell(this.found.strategies);
     } catch {
