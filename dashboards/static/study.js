@@ -83,8 +83,7 @@ const views = {
     };
     let space = null;
     if (behaviour) {
-      space = new BehaviourChart(document.getElementById("behaviour"), { ...context, valueTitle: context.value.title, onHover: light });
-      setText("behaviour-hint", space.hint());
+      space = new BehaviourChart(document.getElementById("behaviour"), { ...context, valueTitle: context.value.title, onHover: light, onHint: (text) => setText("behaviour-hint", text) });
       saveButtons(panelOf("behaviour"), `${study.name}-behaviours`, () => document.querySelector("#behaviour > svg"));
     }
     const table = new TrialTable(document.getElementById("table"), context, { onHover: light });
