@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from workers.contracts import JSON, BadJob
 from workers.physics.athlete import COORDINATES, JOINTS, Joint
-from workers.physics.world import FRAME, GRAVITY, WALL_HALF_THICKNESS, Contacts, World
+from workers.physics.world import FRAME, GRAVITY, Contacts, World
 
 FORMAT = "halma-replay"
 VERSION = 1
@@ -160,7 +160,7 @@ class Recorder:
             "masses": world.athlete.mass.tolist(),
             "bar": world.bar,
             "mat_height": world.mat_height,
-            "wall_half_thickness": WALL_HALF_THICKNESS,
+            "wall_half_thickness": world.wall_half_thickness,
             "foot": self.foot,
         }
         if world.gravity != GRAVITY:  # replays on Earth stay what they were, bit for bit

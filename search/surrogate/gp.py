@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,14 +131,11 @@ class GaussianProcess:
         variance = max(1 - float(k @ beta), 1e-12)
         return self.mean + k @ self.alpha, variance, self.alpha.T @ dk, -2 * beta @ dk
 
-    def with_data(self, X: Array, Y: Array, noise: float | Array) -> GaussianProcess:
+    def given(self, X: Array, Y: Array, noise: float | Array) -> Self:
+        """The same hyperparameters with other data, ``p x e`` and ``p x k``."""
+        return type(self)(X, Y, self.w, self.amplitude, noise, self.mean)
+
+    def with_data(self, X: Array, Y: Array, noise: float | Array) -> Self:
         """The same hyperparameters with more data, ``p x e`` and ``p x k``."""
         more = np.broadcast_to(np.asarray(noise, dtype=float), (len(X),))
-        return type(self)(
-            np.concatenate([self.X, X]),
-            np.concatenate([self.Y, Y]),
-            self.w,
-            self.amplitude,
-            np.concatenate([self.noise, more]),
-            self.mean,
-        )
+        return self.given(np.concatenate([self.X, X]), np.concatenate([self.Y, Y]), np.concatenate([self.noise, more]))

@@ -40,6 +40,8 @@ _WALL_HALF_HEIGHT = 1.5
 _HALF_WIDTH = 5.0
 _MAT_HALF_LENGTH = 2.0
 _SOLVER_ITERATIONS = 10
+_LINE = 0.005
+"""m that a line on the ground rises over it, so that what touches it is seen."""
 _TOUCH = 0.002
 """Bodies closer than this (m) touch: Bullet reports contact points before they bear load."""
 _LOADED_AFTER_CONTACT = 1.5 * FRAME
@@ -150,11 +152,13 @@ class World:
             upright = bullet.getQuaternionFromEuler([-np.pi / 2, 0, 0])
             self._ground = bullet.loadURDF(str(ground), [0, 0, 0], upright, useMaximalCoordinates=True, **self._k)
             bullet.changeDynamics(self._ground, -1, lateralFriction=1.0, **self._k)
+            self.wall_half_thickness = WALL_HALF_THICKNESS
             self._wall = self._mat = -1
             if self.furnished:
                 self._wall = self._box([WALL_HALF_THICKNESS, _WALL_HALF_HEIGHT, _HALF_WIDTH])
                 self._mat = self._box([_MAT_HALF_LENGTH, self.mat_height / 2, _HALF_WIDTH])
-                self._put(self._mat, WALL_HALF_THICKNESS + _MAT_HALF_LENGTH, self.mat_height / 2)
+        if self.furnished:
+            self._put_mat()
         bullet.setPhysicsEngineParameter(
             numSolverIterations=_SOLVER_ITERATIONS, deterministicOverlappingPairs=1, numSubSteps=0, **self._k
         )
@@ -189,6 +193,25 @@ class World:
         self.bar = height
         if self.furnished:
             self._put(self._wall, 0.0, height - _WALL_HALF_HEIGHT)
+
+    def _put_mat(self) -> None:
+        """The mat begins where the wall ends."""
+        self._put(self._mat, self.wall_half_thickness + _MAT_HALF_LENGTH, self.mat_height / 2)
+
+    def set_obstacle(self, height: float, width: float) -> None:
+        """Put a box in place of the wall, its middle in the plane x = 0.
+
+        Args:
+            height: m; 0 is a line on the ground that must not be trodden on.
+            width: along x, m.
+        """
+        if width / 2 != self.wall_half_thickness:
+            # Bullet's shapes can't be stretched: another body takes the wall's place, and always after a `rebuild`.
+            bullet.removeBody(self._wall, **self._k)
+            self.wall_half_thickness = width / 2
+            self._wall = self._box([width / 2, _WALL_HALF_HEIGHT, _HALF_WIDTH])
+            self._put_mat()
+        self.set_bar(max(height, _LINE))
 
     def settle(self) -> None:
         """Forget the contacts of the last episode; call after placing the athlete."""
