@@ -16,7 +16,7 @@ from sqlalchemy.engine import make_url
 from dashboards.examples import EXAMPLES
 from dashboards.rendering import page, static_root
 from services.api.models import StudyOut, StudySummary
-from services.api.routes import LARGEST_ID
+from services.api.parameters import LARGEST_ID
 from services.api.service import Service, Uses
 from services.states import TrialState
 from services.store.port import StudyRow, TrialRow

@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 from dashboards import words
 from dashboards.vendor import STAMP
-from services.api.service import halma_version
+from services.version import halma_version
 
 HERE = Path(__file__).parent
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from services.errors import BadInput
-from services.listings import study_json, trial_json
+from services.listings import artifacts_by_trial, study_json, trial_json
 from services.report import behaviour_of, spec_of
 from services.spec import ResolvedSpec
 from services.states import OBSERVED_TRIAL
@@ -90,7 +90,8 @@ def write(store: Store, row: StudyRow, form: Format, path: Path) -> int:
         if form is Format.CSV:
             path.write_text(csv_text(columns(row, trials)), encoding="utf-8")
         elif form is Format.JSON:
-            listed = [trial_json(trial, store.artifacts(trial.id)) for trial in trials]
+            left = artifacts_by_trial(store.study_artifacts(row.id))
+            listed = [trial_json(trial, left.get(trial.id, ())) for trial in trials]
             whole = {"study": study_json(row, spec=True), "trials": listed}
             path.write_text(json.dumps(whole, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
         else:

@@ -43,10 +43,10 @@ export class Events {
     try {
       for (let stretch = STRETCH; until > 0 && found < ENOUGH; stretch *= 4) {
         const from = Math.max(0, until - stretch);
-        for (let after = from; after !== null && after < until;) {
-          const page = await api(`${this.base}/events?after=${after}&limit=1000`);
+        for (let place = `after=${from}`; place !== null;) {
+          const page = await api(`${this.base}/events?${place}&limit=1000`);
           for (const event of page.events) if (event.id <= until) { this.known.set(event.id, event); found++; }
-          after = page.next;
+          place = page.next !== null && page.events.at(-1).id < until ? `page=${page.next}` : null;
         }
         this.from = until = from;
       }

@@ -116,7 +116,7 @@ export class Stage {
   }
 
   #furnish() {
-    const { bar, mat_height: mat } = this.replay.header;
+    const { bar, mat_height: mat, wall_half_thickness: wall = 0.02 } = this.replay.header;
     const { light } = SURROUNDINGS;
     const floor = this.#solid(new PlaneGeometry(40, 40).rotateX(-Math.PI / 2), light.floor);
     floor.castShadow = false;
@@ -134,10 +134,15 @@ export class Stage {
       }
       return;
     }
+    const obstacle = wall > 0.0201; // the wall that stands for a bar is 0.02 m thick on either side
     const runway = this.#box([6.2, 0.02, 12], [-3, -0.01, 0], light.runway);
     runway.castShadow = false;
-    this.dressed = [["floor", floor.material], ["runway", runway.material], ["mat", this.#box([4, mat, 6], [2.05, mat / 2, 0], light.mat).material]];
+    this.dressed = [["floor", floor.material], ["runway", runway.material], ["mat", this.#box([4, mat, 6], [obstacle ? wall + 2 : 2.05, mat / 2, 0], light.mat).material]];
     if (!(bar > 0)) return;
+    if (obstacle) {
+      this.#box([2 * wall, bar, 4], [0, bar / 2, 0], 0xf2cc26);
+      return;
+    }
     this.#box([0.04, 0.04, 4], [0, bar - 0.02, 0], 0xf2cc26);
     for (const z of [-2, 2]) this.dressed.push(["post", this.#box([0.06, bar + 0.2, 0.06], [0, bar / 2 + 0.1, z], light.post).material]);
   }

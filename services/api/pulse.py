@@ -12,9 +12,9 @@ from pydantic import Field
 
 from services.api.models import Model
 from services.api.service import Uses
+from services.budget import most_trials
 from services.course import answers, course
 from services.errors import UnknownStudy
-from services.stages import most_trials
 from services.states import StudyState
 from services.store.port import StudyRow, TrialRow
 

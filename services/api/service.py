@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, Protocol, cast
 
 from fastapi import Depends
@@ -69,11 +68,3 @@ def service_of(connection: HTTPConnection) -> Service:
 
 Uses = Annotated[Service, Depends(service_of)]
 """A route's parameter that is the service."""
-
-
-def halma_version() -> str:
-    """Version of the installed distribution."""
-    try:
-        return version("halma")
-    except PackageNotFoundError:
-        return "0+uninstalled"

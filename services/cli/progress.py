@@ -15,12 +15,12 @@ from rich.live import Live
 from rich.text import Text
 
 from search.record import SEARCH
+from services.budget import has_stages, most_trials
 from services.cli.events import metric_words
 from services.cli.session import console, say
 from services.cli.words import count, duration, number, several
 from services.errors import HalmaError
 from services.report import behaviour_of, distinct_trials
-from services.stages import has_stages, most_trials
 from services.states import TrialState
 from services.store.port import Store, StudyRow, TrialRow
 

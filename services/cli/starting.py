@@ -15,7 +15,18 @@ from services.admission import admit, apply_changes, changes_of, find
 from services.artifact_root import settle
 from services.cli.driving import drive_here, refuse_driven
 from services.cli.findings import report
-from services.cli.session import Artifacts, AsJson, Db, RayAddress, TakeOver, print_json, say, session
+from services.cli.session import (
+    Artifacts,
+    AsJson,
+    Db,
+    RayAddress,
+    TakeOver,
+    named_server,
+    only_here,
+    print_json,
+    say,
+    session,
+)
 from services.errors import BadInput, NameTaken
 from services.problems import BadStudy
 from services.settings import find_settings
@@ -49,7 +60,7 @@ def run(
 
     read = read_draft(file, _overridden_by(overrides, name, profile))
     spec = check(read)
-    with session(db, artifacts) as opened:
+    with session(db, artifacts, here="run") as opened:
         settle(opened.store, opened.artifacts)
         row = find(opened.store, spec.name)
         if row is None:
@@ -82,6 +93,7 @@ def submit(
     from services.client import Client  # noqa: PLC0415 - HTTP, which other commands don't speak
 
     settings = find_settings()
+    server = server or named_server()
     given = _overridden_by(overrides, name, profile)
     # What can be told from the form alone is told here, also where no service runs; the rest is the service's to check.
     read = read_draft(file, given)
@@ -94,10 +106,9 @@ def submit(
             raise NameTaken(f"{read.source.origin(('name',))}: {error}") from None
         url = client.url
     if as_json:
-        print_json(study)
+        print_json(study.model_dump(mode="json"))
         return
-    name = str(study.get("name"))
-    say(f"Submitted {name} to {url}. Follow it: halma watch {name}")
+    say(f"Submitted {study.name} to {url}. Follow it: halma watch {study.name}")
 
 
 def serve(
@@ -121,6 +132,7 @@ def serve(
     artifacts: Artifacts = None,
 ) -> None:
     """Serve the API and the pages, and drive every study that is submitted, until Ctrl-C."""
+    only_here("serve")
     from services import serving  # noqa: PLC0415 - the web framework takes a second to import
     from services.ray_environment import prepare  # noqa: PLC0415 - as above
 

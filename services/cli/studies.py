@@ -9,6 +9,7 @@ import typer
 
 from services.amending import AMENDABLE, SHORT, field_of, read_amendments
 from services.artifact_root import settle
+from services.budget import has_stages
 from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
 from services.cli.findings import findings_table
@@ -29,11 +30,11 @@ from services.cli.session import (
 from services.cli.tables import done_of, fields_table, stages_table, state_text, studies_table, trials_table
 from services.cli.words import count, duration, several, state_words, value_of
 from services.driver import driving_words, this_process
-from services.errors import BadInput, Refused, StudyDriven, WrongState
+from services.errors import BadInput, HalmaError, Refused, StudyDriven, WrongState
 from services.lineage import lineage_words
-from services.listings import event_json, study_json, trial_json
+from services.listings import artifacts_by_trial, event_json, study_json, trial_json
 from services.report import behaviour_of, distinct_trials, units_of
-from services.stages import has_stages, stages_of_study
+from services.stages import stages_of_study
 from services.states import LIVE_STUDY, OBSERVED_TRIAL, StudyState, TrialState
 from services.store.port import StudyRow
 
@@ -46,7 +47,7 @@ def complete_study(incomplete: str) -> list[str]:
     try:
         with session(None) as opened:
             return [row.name for row in opened.store.studies() if row.name.startswith(incomplete)]
-    except BadInput:
+    except HalmaError:
         return []
 
 
@@ -133,7 +134,8 @@ def trials(
         row = opened.store.study(name)
         rows = opened.store.trials(row.id, states=state or None)
         if as_json:
-            print_json([trial_json(trial, opened.store.artifacts(trial.id)) for trial in rows])
+            left = artifacts_by_trial(opened.store.study_artifacts(row.id))
+            print_json([trial_json(trial, left.get(trial.id, ())) for trial in rows])
             return
     if not rows:
         say(f"{name} has no trials yet." if not state else f"{name} has no trial that is {' or '.join(state)}.")
@@ -189,7 +191,7 @@ def cancel(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
 def _ask(name: str, wanted: str, db: str | None, *, as_json: bool, driven: str) -> None:
     with session(db) as opened:
         row = opened.store.study(name)
-        if row.driver is not None and not is_driven_elsewhere(row):
+        if row.driver is not None and opened.server is None and not is_driven_elsewhere(row):
             _let_go(opened, row)
         with opened.store.transaction() as change:
             row = change.ask(name, wanted)
@@ -226,7 +228,7 @@ def extend(
     with session(db) as opened:
         with opened.store.transaction() as change:
             row = change.extend(name, trials=trials, cost=cost)
-        driven = is_driven_elsewhere(row)
+        driven = opened.server is not None or is_driven_elsewhere(row)
     if as_json:
         print_json(study_json(row))
         return
@@ -262,6 +264,15 @@ def set_fields(
         say(f"{name}: {field} is {now}" + ("" if was == now else f" (it was {was})"))
 
 
+def _resume_there(opened: Session, row: StudyRow, *, here: bool) -> None:
+    """Let a service go on with a study."""
+    if here:
+        raise BadInput("resume: expected none of --inline, --take-over, --ray-address with a service, found one")
+    with opened.store.transaction() as change:
+        change.ask(row.name, "run")
+    say(f"The service at {opened.server} goes on with {row.name}. Follow it: halma watch {row.name}")
+
+
 def resume(
     name: StudyName,
     inline: Annotated[bool, typer.Option("--inline", help="Run trials in this process, without Ray.")] = False,
@@ -279,5 +290,8 @@ def resume(
                 f"resume: expected a study with budget left, found {name} complete after {several(done, 'trial')}; "
                 f"look at it with `halma show {name}`, or give it more with `halma extend {name} --trials 10`"
             )
+        if opened.server is not None:
+            _resume_there(opened, row, here=inline or take_over or ray is not None)
+            return
         settle(opened.store, opened.artifacts)
         drive_here(opened, name, inline=inline, take_over=take_over, ray_address=ray)

@@ -384,8 +384,8 @@ class Store(Protocol):
     def artifact_root(self) -> ArtifactRoot | None:
         """Where the artifacts are; None where no driver has noted it yet."""
 
-    def proposals(self, study_id: int) -> list[ProposalRow]:
-        """What each proposal saw, in order."""
+    def proposals(self, study_id: int, *, after: int = 0, limit: int | None = None) -> list[ProposalRow]:
+        """What each proposal with an id above `after` saw, in order."""
 
     def events(self, *, after: int = 0, study_id: int | None = None, limit: int = 1000) -> list[EventRow]:
         """Events beyond a cursor, oldest first."""

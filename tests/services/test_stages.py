@@ -12,6 +12,7 @@ import pytest
 
 from services.admission import admit, find
 from services.artifacts import open_artifacts
+from services.budget import most_trials
 from services.coordinator import Coordinator
 from services.dispatch.inline import InlineDispatcher
 from services.problems import BadStudy
@@ -19,7 +20,7 @@ from services.proposing import InlineStrategist
 from services.report import distinct_trials
 from services.spec import ResolvedSpec, StudySpec
 from services.spec_check import parse_study
-from services.stages import most_trials, stages_of_study
+from services.stages import stages_of_study
 from services.states import StudyState, TrialState
 from services.store.open import open_store
 from services.translate import job_of, settings_in

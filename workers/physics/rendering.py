@@ -1,6 +1,7 @@
 """Pictures and videos of recorded jumps by Bullet's software renderer: no display, no GPU.
 
-The wall that the athlete jumps over in training is drawn as what it stands for: a bar between two posts.
+The wall that the athlete jumps over in training is drawn as what it stands for: a bar between two posts. An obstacle is
+drawn as the box that it is.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from PIL import Image
 from workers.contracts import BadJob
 from workers.physics.athlete import JOINTS, Athlete
 from workers.physics.rotations import Array
-from workers.physics.world import quiet
+from workers.physics.world import WALL_HALF_THICKNESS, quiet
 from workers.replay import Replay
 
 Picture = NDArray[np.uint8]
@@ -113,6 +114,11 @@ class Scene:
                 self._box((0.015, 0.002, 1.5), (float(x), 0.0, 0.0), (0.9, 0.9, 0.9, 1.0))
             return
         self._box((3.1, 0.01, 6.0), (-3.0, -0.01, 0.0), (0.80, 0.42, 0.33, 1.0))
+        wall = float(self._replay.header["wall_half_thickness"])
+        if wall > WALL_HALF_THICKNESS:  # an obstacle to be jumped over whole
+            self._box((2.0, mat / 2, 3.0), (wall + 2.0, mat / 2, 0.0), (0.36, 0.60, 0.52, 1.0))
+            self._box((wall, bar / 2, _BAR_HALF_WIDTH), (0.0, bar / 2, 0.0), (0.95, 0.80, 0.15, 1.0))
+            return
         self._box((2.0, mat / 2, 3.0), (2.05, mat / 2, 0.0), (0.36, 0.60, 0.52, 1.0))
         self._box((0.02, 0.02, _BAR_HALF_WIDTH), (0.0, bar - 0.02, 0.0), (0.95, 0.80, 0.15, 1.0))
         for z in (-_BAR_HALF_WIDTH, _BAR_HALF_WIDTH):

@@ -52,11 +52,11 @@ class TestStudies:
 class TestTrials:
     def test_pages_join_without_a_gap_or_a_repeat(self, client, record):
         record.propose(7)
-        numbers, after = [], -1
-        while after is not None:
-            page = client.get(f"{STUDY}/trials", params={"after": after, "limit": 3}).json()
+        numbers, page = [], {"next": ""}
+        while page["next"] is not None:
+            given = {"page": page["next"]} if page["next"] else {}
+            page = client.get(f"{STUDY}/trials", params={"limit": 3, **given}).json()
             numbers += [trial["number"] for trial in page["trials"]]
-            after = page["next"]
         assert numbers == [0, 1, 2, 3, 4, 5, 6]
 
     def test_a_page_that_ends_with_the_last_trial_names_no_next_one(self, client, record):
@@ -263,10 +263,11 @@ class TestEvents:
         record.one(iterations=1)
         first = client.get("/api/v1/events", params={"limit": 2}).json()
         assert [event["kind"] for event in first["events"]] == ["created", "driven"]
-        rest = client.get("/api/v1/events", params={"after": first["next"]}).json()
+        rest = client.get("/api/v1/events", params={"page": first["next"]}).json()
         assert [event["kind"] for event in rest["events"]] == ["proposed", "started", "progress", "finished"]
         assert rest["next"] is None
-        assert client.get(f"{STUDY}/events", params={"after": first["next"]}).json() == rest
+        assert client.get("/api/v1/events", params={"after": first["events"][-1]["id"]}).json() == rest
+        assert client.get(f"{STUDY}/events", params={"page": first["next"]}).json() == rest
 
 
 class TestService:
