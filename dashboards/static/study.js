@@ -83,20 +83,23 @@ const views = {
     };
     let space = null;
     if (behaviour) {
-      space = new BehaviourChart(document.getElementById("behaviour"), { ...context, valueTitle: context.value.title, onHover: light });
-      setText("behaviour-hint", space.hint());
+      space = new BehaviourChart(document.getElementById("behaviour"), { ...context, valueTitle: context.value.title, onHover: light, onHint: (text) => setText("behaviour-hint", text) });
       saveButtons(panelOf("behaviour"), `${study.name}-behaviours`, () => document.querySelector("#behaviour > svg"));
     }
     const table = new TrialTable(document.getElementById("table"), context, { onHover: light });
     table.rows.ask({});
     const strategies = behaviour ? new Strategies({ ...context, light }) : null;
+    const show = (found) => { space.strategies = found; space.draw(); };
     return {
       draw(changes) {
         chart.draw();
         space?.draw();
-        if (changes.history) strategies?.refresh((found) => { if (space) { space.strategies = found; space.draw(); } });
+        if (changes.all) strategies?.refresh(show);
       },
-      onEvents: (frame) => table.rows.apply(frame),
+      onEvents(frame) {
+        table.rows.apply(frame);
+        strategies?.onTrials(frame.trials, show);
+      },
       reload: () => table.rows.reset(),
     };
   },
@@ -146,7 +149,7 @@ facts();
 const ready = Promise.all([views[page.view](), trialsLoaded, study.state === "running" ? pace.load() : null]).then(([view, position]) => {
   drawPace();
   countDistinct();
-  view.draw({ history: true });
+  view.draw({ history: true, all: true });
   document.body.dataset.ready = "yes";
   return [view, position];
 });
@@ -166,7 +169,7 @@ ready.then(([view, position]) => new Live({
       document.getElementById("actions").replaceChildren();
     } else if (frame.type === "events") {
       pace.add(frame.trials);
-      if (frame.trials.some((trial) => trial.position !== null)) countDistinct(4000);
+      if (frame.trials.some((trial) => trial.position !== null)) countDistinct(10_000 * (1 + Math.random()));
       if (CHARTS.has(page.view)) {
         const before = trials.history().length;
         trials.apply(frame.trials);
@@ -190,7 +193,7 @@ ready.then(([view, position]) => new Live({
     await Promise.all([view.reload?.(), pace.load()]);
     drawPace();
     countDistinct();
-    view.draw({ history: true });
+    view.draw({ history: true, all: true });
     view.onStudy?.();
     return at;
   },
