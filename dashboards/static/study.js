@@ -39,6 +39,25 @@ function facts() {
   }
 }
 
+// Stages in the order in which they follow each other; that of a JSON object may be lost in a database.
+function stageNames(stages) {
+  const names = ["search"];
+  for (let ready = true; ready;) {
+    ready = Object.keys(stages).sort().find((name) => !names.includes(name) && stages[name].after.every((each) => names.includes(each)));
+    if (ready) names.push(ready);
+  }
+  return names;
+}
+
+function drawStages() {
+  if (!document.getElementById("fact-stages")) return;
+  setText("fact-stages", stageNames(study.spec.stages).map((name) => {
+    const own = trials.all().filter((trial) => trial.stage === name);
+    const running = own.filter((trial) => trial.state === "running").length;
+    return `${name} ${own.filter((trial) => trial.position !== null).length}${running ? ` (${running} running)` : ""}`;
+  }).join(", "));
+}
+
 function drawPace() {
   const [rate, left] = pace.words(study);
   setText("fact-rate", rate);
@@ -158,6 +177,7 @@ const views = {
 facts();
 const ready = Promise.all([views[page.view](), trialsLoaded, study.state === "running" ? pace.load() : null]).then(([view, position]) => {
   drawPace();
+  drawStages();
   countDistinct();
   view.draw({ history: true, all: true });
   document.body.dataset.ready = "yes";
@@ -184,6 +204,7 @@ ready.then(([view, position]) => new Live({
       if (CHARTS.has(page.view)) {
         const before = trials.history().length;
         trials.apply(frame.trials);
+        drawStages();
         view.draw({ history: trials.history().length !== before });
       }
       view.onEvents?.(frame);
@@ -203,6 +224,7 @@ ready.then(([view, position]) => new Live({
     const at = CHARTS.has(page.view) ? await trials.load() : await api("/server");
     await Promise.all([view.reload?.(), pace.load()]);
     drawPace();
+    drawStages();
     countDistinct();
     view.draw({ history: true, all: true });
     view.onStudy?.();
