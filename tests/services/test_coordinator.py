@@ -513,6 +513,10 @@ def test_a_database_that_can_be_read_and_not_written_is_waited_for(tmp_path):
     assert world.trials()[0].value == 7.0
     assert world.clock.now - began > 3.0
     assert world.coordinator.trouble() == ""
+    assert world.told == [
+        "Nothing can be recorded, so nothing new is started until it can; running trainings go on. away",
+        "The database can be written again: going on.",
+    ]
     back = [event for event in world.store.events() if event.kind == "database_back"]
     assert [event.payload["reason"] for event in back] == ["away"]
     world.store.close()
