@@ -58,9 +58,7 @@ def plot(
     from services.figures.study import draw, write  # noqa: PLC0415 - matplotlib, an extra
 
     with session(db) as opened:
-        row = opened.store.study(name)
-        store = opened.store
-        shown = Shown(row, store.trials(row.id), lambda trial: store.metrics(trial.id))
+        shown = Shown.of(opened.store, name)
         drawn = draw(shown, [each.value for each in only or Name])
     if not drawn.figures:
         reasons = "; ".join(f"{figure}: {reason}" for figure, reason in drawn.left_out.items())

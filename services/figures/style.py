@@ -168,10 +168,10 @@ def _width(labels: Sequence[str], columns: int) -> float:
     return sum(max(map(len, part)) + 8 for part in parts) * 0.062
 
 
-def encode(figure: Figure, form: str) -> bytes:
-    """A figure as the bytes of an SVG, PDF or PNG file, the same for the same figure."""
+def encode(figure: Figure, form: str, dpi: int = 300) -> bytes:
+    """A figure as the bytes of an SVG, PDF or PNG file, the same for the same figure; `dpi` is that of its pixels."""
     out = io.BytesIO()
     metadata: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(form, {})
     with style():
-        figure.savefig(out, format=form, metadata=metadata, bbox_inches=None)
+        figure.savefig(out, format=form, metadata=metadata, dpi=dpi, bbox_inches=None)
     return out.getvalue()

@@ -59,8 +59,8 @@ def test_optuna_has_all_that_the_record_has_under_the_same_numbers(study, export
     assert [trial.user_attrs["status"] for trial in loaded.trials] == STATUS
     for trial, own in zip(loaded.trials, rows, strict=True):
         assert (trial.number, trial.params, trial.value) == (own.number, own.params, own.value)
-        assert trial.user_attrs["features"] == (None if own.features is None else list(own.features))
-        assert (trial.user_attrs["message"], trial.user_attrs["seed"]) == (own.message, str(own.seed))
+        assert trial.user_attrs.get("features") == (None if own.features is None else list(own.features))
+        assert (trial.user_attrs.get("message", ""), trial.user_attrs["seed"]) == (own.message, str(own.seed))
         returns = {each.iteration: each.values["return"] for each in store.metrics(own.id)}
         assert trial.intermediate_values == returns
         if own.finished_at is not None and own.started_at is not None:
