@@ -236,7 +236,14 @@ class Retries(Section):
     total: Whole = Field(
         default=30, ge=0, le=10_000, description="further attempts in all (at least the limit), however far each came"
     )
-    backoff_seconds: Finite = Field(default=1.0, ge=0, description="wait before the first retry; doubles each time")
+    backoff_seconds: Finite = Field(
+        default=1.0, ge=0, description="wait before the first retry; doubles each time, up to a minute"
+    )
+
+    @property
+    def in_all(self) -> int:
+        """Further attempts in all."""
+        return max(self.limit, self.total)
 
 
 def _positive_budget(training: Mapping[str, Any]) -> None:

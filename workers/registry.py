@@ -17,6 +17,7 @@ GYMNASIUM = "gymnasium:"
 
 BUILT_IN: Mapping[str, str] = {
     "high_jump": "workers.tasks.high_jump:HighJump",
+    "imitation": "workers.tasks.imitation.task:Imitation",
     "obstacle_jump": "workers.tasks.high_jump:ObstacleJump",
     "point_jump": "workers.tasks.point_jump:PointJump",
     "walker": "workers.tasks.walker.task:Walker",

@@ -138,10 +138,12 @@ class Recorder:
     Args:
         foot: name of the body that may touch the ground.
         task: what the task wants to keep in the header.
+        frame_seconds: between two frames.
     """
 
     foot: str
     task: Mapping[str, JSON] = field(default_factory=dict)
+    frame_seconds: float = FRAME
     _rows: dict[str, list[NDArray[np.float32]]] = field(default_factory=dict, init=False)
     _header: dict[str, JSON] = field(default_factory=dict, init=False)
 
@@ -151,7 +153,7 @@ class Recorder:
         self._header = {
             "format": FORMAT,
             "version": VERSION,
-            "frame_seconds": FRAME,
+            "frame_seconds": self.frame_seconds,
             "bodies": list(world.athlete.names),
             "joints": [joint.name for joint in JOINTS],
             "shapes": world.body_shapes(),

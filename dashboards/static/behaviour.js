@@ -9,15 +9,13 @@ const MOST = 1500;
 const MOST_LINES = 12;
 
 export class BehaviourChart {
-  constructor(at, { study, trials, behaviour, valueTitle = "value", onHover = () => {} }) {
-    Object.assign(this, { at, study, trials, behaviour, valueTitle, onHover });
+  constructor(at, { study, trials, behaviour, valueTitle = "value", onHover = () => {}, onHint = () => {} }) {
+    Object.assign(this, { at, study, trials, behaviour, valueTitle, onHover, onHint });
     this.strategies = [];
     this.view = { turn: 0.9, tilt: 0.38 };
     onTheme(() => this.draw());
     if (behaviour.kind === "rotation") this.#turnable();
   }
-
-  hint() { return spaceOf(this.behaviour, { low: 0, high: 1, axes: [], label: this.valueTitle }).hint(); }
 
   draw() {
     if (this.queued) return;
@@ -82,6 +80,7 @@ export class BehaviourChart {
       return;
     }
     const space = (this.space = spaceOf(this.behaviour, this.#range(trials), this.view));
+    this.onHint(space.hint());
     const names = new Map(this.strategies.map((strategy, index) => [strategy.number, index + 1]));
     if (trials.length > MOST) {
       const step = Math.ceil(trials.length / MOST);

@@ -43,7 +43,7 @@ export class Overlay {
 
   draw() {
     clearTimeout(this.#timer);
-    this.#timer = setTimeout(() => this.#load(), this.curves.size ? 1500 : 0);
+    this.#timer = setTimeout(() => this.#load(), this.curves.size ? 2000 : 0);
   }
 
   async #load() {

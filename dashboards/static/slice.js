@@ -17,11 +17,15 @@ const UNSURE_DARK = [[0, "#20242a"], [0.35, "#4b3c5e"], [0.7, "#9a79b8"], [1, "#
 const OVER = { failed: "#f2641c", running: "#12b88c", queued: "#12b88c" };
 const PATIENCE = 180;
 const LEAST_PAUSE = 2000;
+// Share of the time that the service may be busy with slices that nobody but new trials asked for.
+const SHARE = 0.05;
+const MOST_PAUSE = 15_000;
 
 export class SliceView {
   #asked = 0;
   #timer = 0;
   #last = 0;
+  #took = 0;
 
   constructor({ base, study, trials, behaviour, units, space, value, hasDifficulty, dark }) {
     Object.assign(this, { base, study, trials, behaviour, units, space, value, dark });
@@ -78,6 +82,7 @@ export class SliceView {
     try {
       const slice = await api(`${this.base}/slice?${query}`);
       if (turn !== this.#asked) return;
+      this.#took = Date.now() - this.#last;
       this.slice = slice;
       this.sliders.follow(slice.others);
       setText("slice-note", slice.note ?? "");
@@ -100,7 +105,7 @@ export class SliceView {
     this.mean.draw();
     if (!history && this.slice !== undefined) return;
     clearTimeout(this.#timer);
-    this.#timer = setTimeout(() => this.#ask(), Math.max(0, this.#last + LEAST_PAUSE - Date.now()));
+    this.#timer = setTimeout(() => this.#ask(), Math.max(0, this.#last + Math.min(MOST_PAUSE, Math.max(LEAST_PAUSE, this.#took / SHARE)) - Date.now()));
   }
 
   #has(which) {

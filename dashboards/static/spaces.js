@@ -41,7 +41,12 @@ function share(value, { low, high }) { return value === null || high === low ? 1
 class Circle {
   constructor(behaviour, range) { this.behaviour = behaviour; this.range = range; this.outer = HALF - 36; }
 
-  hint() { return `direction: ${this.behaviour.names[0]}; away from the centre: ${this.range.label ?? "value"}`; }
+  // The scale is told here: words on the rings would lie under the marks.
+  hint() {
+    const { low, high, label } = this.range;
+    const rings = high > low ? `, ${number(low, 3)} (inner ring) to ${number(high, 3)} (outer ring)` : "";
+    return `direction: ${this.behaviour.names[0]}; away from the centre: ${label}${rings}`;
+  }
 
   radius(trial) { return (0.25 + 0.75 * share(trial.value, this.range)) * this.outer; }
 
@@ -60,18 +65,14 @@ class Circle {
     }
   }
 
-  words(root) {
-    if (this.range.high <= this.range.low) return;
-    root.append(svg("text", { x: HALF + 4, y: HALF - 0.25 * this.outer - 3, ...soft(rimmed()) }, number(this.range.low, 3)));
-    root.append(svg("text", { x: HALF + 4, y: HALF - this.outer + 12, ...soft(rimmed()) }, `${number(this.range.high, 3)} ${this.range.label}`));
-  }
+  words() {}
 }
 
 // One angle between 0 and a half turn, as an inclination is: a dial that opens to the right, 0 at the top.
 class Dial extends Circle {
   constructor(behaviour, range) { super(behaviour, range); this.outer = SIZE - 150; this.at = [78, HALF]; }
 
-  hint() { return `direction: ${this.behaviour.names[0]} (0° is up); away from the centre: ${this.range.label ?? "value"}`; }
+  hint() { return `direction: ${this.behaviour.names[0]} (0° is up); away from the centre: ${this.range.label}`; }
 
   place(trial) {
     const r = (0.25 + 0.75 * share(trial.value, this.range)) * (HALF - 30);
@@ -96,8 +97,6 @@ class Dial extends Circle {
       root.append(svg("text", { x: x - 26, y: y - 0.625 * most + 18, transform: `rotate(-90 ${x - 26} ${y - 0.625 * most + 18})`, ...middle, ...soft() }, this.range.label));
     }
   }
-
-  words() {}
 }
 
 // A vector: two of its coordinates; a single one against the value.

@@ -10,28 +10,57 @@ const MOST_DISTANCES = 8;
 // A task that names what it did knows best.
 function told(name) { return typeof name === "string" && name ? name[0].toUpperCase() + name.slice(1) : null; }
 
+// A trial that is like one of the strategies, and no better, changes a count only: that may wait. A hundred people who
+// watch a busy study would otherwise all ask for all strategies at every trial.
+const SOON = 1000;
+const LATER = 20_000;
+
 export class Strategies {
   #asked = -1;
   #busy = false;
+  #timer = 0;
+  #due = Infinity;
 
   constructor({ base, trials, behaviour, value, light }) {
     Object.assign(this, { base, trials, behaviour, value, light });
   }
 
+  // Finished trials: asked for again soon where they may change the gallery, else some time later.
+  onTrials(trials, tell) {
+    const ended = trials.filter((trial) => trial.state === "complete" && trial.features !== null);
+    if (!ended.length) return;
+    const wait = ended.some((trial) => this.#matters(trial)) ? SOON : LATER * (1 + Math.random());
+    const at = performance.now() + (this.found?.strategies.length ? wait : 0);
+    if (at >= this.#due) return;
+    clearTimeout(this.#timer);
+    this.#due = at;
+    this.#timer = setTimeout(() => this.refresh(tell), at - performance.now());
+  }
+
+  #matters(trial) {
+    if (!this.found || this.found.distance === null) return true;
+    // What the task's own audit refused is nobody's strategy.
+    if (trial.details.audit?.passed === false) return false;
+    // The best stands for all that are like it: nobody who is as good and alike is there, or it changes nothing.
+    return !this.found.strategies.some((one) => (one.value ?? -Infinity) >= (trial.value ?? -Infinity) && distance(this.behaviour, one.features, trial.features) <= this.found.distance);
+  }
+
   async refresh(tell) {
+    clearTimeout(this.#timer);
+    this.#due = Infinity;
     const length = this.trials.history().length;
     if (this.#busy || length === this.#asked) return;
     this.#busy = true;
     this.#asked = length;
     try {
-      const found = await api(`${this.base}/strategies`);
-      this.draw(found);
-      tell(found.strategies);
+      this.found = await api(`${this.base}/strategies?limit=1000`);
+      this.draw(this.found);
+      tell(this.found.strategies);
     } catch {
       this.#asked = -1;
+      this.#timer = setTimeout(() => this.refresh(tell), LATER);
     } finally {
       this.#busy = false;
-      if (this.trials.history().length !== length) setTimeout(() => this.refresh(tell), 500);
     }
   }
 

@@ -39,6 +39,25 @@ function facts() {
   }
 }
 
+// Stages in the order in which they follow each other; that of a JSON object may be lost in a database.
+function stageNames(stages) {
+  const names = ["search"];
+  for (let ready = true; ready;) {
+    ready = Object.keys(stages).sort().find((name) => !names.includes(name) && stages[name].after.every((each) => names.includes(each)));
+    if (ready) names.push(ready);
+  }
+  return names;
+}
+
+function drawStages() {
+  if (!document.getElementById("fact-stages")) return;
+  setText("fact-stages", stageNames(study.spec.stages).map((name) => {
+    const own = trials.all().filter((trial) => trial.stage === name);
+    const running = own.filter((trial) => trial.state === "running").length;
+    return `${name} ${own.filter((trial) => trial.position !== null).length}${running ? ` (${running} running)` : ""}`;
+  }).join(", "));
+}
+
 function drawPace() {
   const [rate, left] = pace.words(study);
   setText("fact-rate", rate);
@@ -83,20 +102,23 @@ const views = {
     };
     let space = null;
     if (behaviour) {
-      space = new BehaviourChart(document.getElementById("behaviour"), { ...context, valueTitle: context.value.title, onHover: light });
-      setText("behaviour-hint", space.hint());
+      space = new BehaviourChart(document.getElementById("behaviour"), { ...context, valueTitle: context.value.title, onHover: light, onHint: (text) => setText("behaviour-hint", text) });
       saveButtons(panelOf("behaviour"), `${study.name}-behaviours`, () => document.querySelector("#behaviour > svg"));
     }
     const table = new TrialTable(document.getElementById("table"), context, { onHover: light });
     table.rows.ask({});
     const strategies = behaviour ? new Strategies({ ...context, light }) : null;
+    const show = (found) => { space.strategies = found; space.draw(); };
     return {
       draw(changes) {
         chart.draw();
         space?.draw();
-        if (changes.history) strategies?.refresh((found) => { if (space) { space.strategies = found; space.draw(); } });
+        if (changes.all) strategies?.refresh(show);
       },
-      onEvents: (frame) => table.rows.apply(frame),
+      onEvents(frame) {
+        table.rows.apply(frame);
+        strategies?.onTrials(frame.trials, show);
+      },
       reload: () => table.rows.reset(),
     };
   },
@@ -145,8 +167,9 @@ const views = {
 facts();
 const ready = Promise.all([views[page.view](), trialsLoaded, study.state === "running" ? pace.load() : null]).then(([view, position]) => {
   drawPace();
+  drawStages();
   countDistinct();
-  view.draw({ history: true });
+  view.draw({ history: true, all: true });
   document.body.dataset.ready = "yes";
   return [view, position];
 });
@@ -166,10 +189,11 @@ ready.then(([view, position]) => new Live({
       document.getElementById("actions").replaceChildren();
     } else if (frame.type === "events") {
       pace.add(frame.trials);
-      if (frame.trials.some((trial) => trial.position !== null)) countDistinct(4000);
+      if (frame.trials.some((trial) => trial.position !== null)) countDistinct(10_000 * (1 + Math.random()));
       if (CHARTS.has(page.view)) {
         const before = trials.history().length;
         trials.apply(frame.trials);
+        drawStages();
         view.draw({ history: trials.history().length !== before });
       }
       view.onEvents?.(frame);
@@ -189,8 +213,9 @@ ready.then(([view, position]) => new Live({
     const at = CHARTS.has(page.view) ? await trials.load() : await api("/server");
     await Promise.all([view.reload?.(), pace.load()]);
     drawPace();
+    drawStages();
     countDistinct();
-    view.draw({ history: true });
+    view.draw({ history: true, all: true });
     view.onStudy?.();
     return at;
   },

@@ -73,6 +73,7 @@ export class TrialTable {
 
   order(sort) {
     this.rows.ask({ sort });
+    this.counted = undefined;
     this.at.scrollTop = 0;
     this.draw();
     this.onChange();
@@ -89,9 +90,22 @@ export class TrialTable {
       for (const [name, value] of Object.entries(trial.details)) if (!details.some((one) => one.name === name)) details.push({ name, num: typeof value === "number" });
       if (trial.message) this.known.troubled = true;
     }
+    this.#stay();
     if (parameters.length + details.length + Number(this.known.troubled) !== before || !this.signature) this.draw();
     else this.#soon();
     this.onTold?.();
+  }
+
+  // New trials come at the top: somebody who has scrolled down keeps the rows that he reads.
+  #stay() {
+    const { matched, plain, sort } = this.rows;
+    const more = matched - (this.counted ?? matched);
+    this.counted = matched;
+    if (more > 0 && plain && sort === "-number" && this.at.scrollTop >= ROW) {
+      this.gaps[0].cells[0].style.height = `${parseFloat(this.gaps[0].cells[0].style.height || 0) + more * ROW}px`;
+      this.gaps[0].hidden = false;
+      this.at.scrollTop += more * ROW;
+    }
   }
 
   // A column is as wide as the widest that was seen in it: it may grow, and never swings while somebody scrolls.

@@ -184,7 +184,7 @@ class CMFBO(Strategy):
         Believed values count as evaluated ones do.
         """
         rows = record.asked
-        mean = model.posterior(rows, z)[0] if len(rows) else np.zeros(0)
+        mean = model.mean_at(rows, z)
         best = to_beat(model, rows, z)
         believed = rows[np.argsort(-mean, kind="stable")[:3]]
         around = np.unique(np.concatenate([best_points(record, 3), believed]), axis=0)
@@ -230,8 +230,8 @@ def to_beat(model: ValueModel, asked: Array, z: float) -> float:
     done = model.gp.X[model.gp.X[:, -1] >= z - 1e-9].copy()
     done[:, -1] = z
     if len(done):
-        return float(model.gp.posterior(done)[0].max())
-    return float(model.posterior(asked, z)[0].max()) - 3.0 if len(asked) else 0.0
+        return float(model.gp.mean_at(done).max())
+    return float(model.mean_at(asked, z).max()) - 3.0 if len(asked) else 0.0
 
 
 FIDELITY_LENGTH = 1.0

@@ -153,7 +153,7 @@ class BOCA(Strategy):
             model = ValueModel(
                 self.space, record, fit_values(self.space, record, 0.5 * math.sqrt(self.space.d / 2), 1.0)
             )
-            mean = model.posterior(record.X, 1.0)[0]
+            mean = model.mean_at(record.X, 1.0)
         return int(np.argmax(np.where(record.complete, mean, -np.inf)))
 
     def _difficulty(self, model: ValueModel, u: Array, levels: Array, costs: CostModel, w: float) -> float:

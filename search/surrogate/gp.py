@@ -97,10 +97,16 @@ class GaussianProcess:
     def posterior(self, S: Array) -> tuple[Array, Array]:
         """Mean ``m x k`` and latent variance relative to the amplitude's square, ``m``."""
         if not len(self.X):
-            return np.tile(self.mean, (len(S), 1)), self.prior_variance(S)
+            return self.mean_at(S), self.prior_variance(S)
         k = self.correlation(S)
         V = solve_triangular(self.L, k.T, lower=True, check_finite=False)
         return k @ self.alpha + self.mean, np.maximum(self.prior_variance(S) - (V * V).sum(0), 1e-12)
+
+    def mean_at(self, S: Array) -> Array:
+        """The posterior's mean alone, ``m x k``: without its variance many points cost neither time nor memory."""
+        if not len(self.X):
+            return np.tile(self.mean, (len(S), 1))
+        return np.asarray(self.correlation(S) @ self.alpha + self.mean)
 
     def leave_one_out(self) -> tuple[Array, Array]:
         """Each datum predicted from all the others: mean ``n x k`` and variance, noise included, relative, ``n``.

@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Mapping
 from fastapi import FastAPI
 
 from services.api import health, insights, monitoring, pulse, reference, routes, sockets, trials
+from services.api.distinct import Distinct
 from services.api.errors import add_error_handlers
 from services.api.guard import Guard, Hosts
 from services.api.live import Hub
@@ -63,6 +64,7 @@ def create_api(
         Hub(store),
         finished,
         Finder(store, finished),
+        Distinct(store),
         Looks(store, finished),
         dict(pools or {}),
     )

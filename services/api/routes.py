@@ -122,7 +122,7 @@ def extend(service: Uses, study: Study, more: Extension) -> StudyOut:
 def strategies(service: Uses, study: Study, page: PageCursor = None, limit: Limit = 200) -> StrategyList:
     """The distinct strategies that a study has found, best first; none where its task has no behaviour."""
     # The search's geometry comes with torch, which takes a second to import, once.
-    from services.report import Finding, behaviour_of, distinct_trials  # noqa: PLC0415
+    from services.report import Finding, behaviour_of  # noqa: PLC0415
 
     cursor, history = service.store.last_event(), service.store.history_id()
     row = service.store.study(study)
@@ -134,7 +134,7 @@ def strategies(service: Uses, study: Study, page: PageCursor = None, limit: Limi
         value = finding.trial.value
         return (1, 0.0, finding.trial.number) if value is None else (0, -value, finding.trial.number)
 
-    every = sorted(distinct_trials(row, service.trials.history(row)), key=place)
+    every = sorted(service.distinct.of(row, service.trials.history(row)) or [], key=place)
     behind = after_key(every, "strategies", page, place, int, (int, float), int)
     found, following = page_of(behind, limit, "strategies", place)
     return StrategyList(

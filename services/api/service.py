@@ -9,6 +9,7 @@ from typing import Annotated, Protocol, cast
 from fastapi import Depends
 from fastapi.requests import HTTPConnection
 
+from services.api.distinct import Distinct
 from services.api.live import Hub
 from services.api.looks import Looks
 from services.api.tables import FinishedTrials
@@ -42,6 +43,7 @@ class Service:
         hub: live events.
         trials: the finished trials of the studies last asked for.
         finder: sorts and filters trials.
+        distinct: strategies of studies.
         looks: what searches have learnt.
         pools: cores by worker pool; empty where this server doesn't know them.
     """
@@ -53,6 +55,7 @@ class Service:
     hub: Hub
     trials: FinishedTrials
     finder: Finder
+    distinct: Distinct
     looks: Looks
     pools: Mapping[str, int]
 

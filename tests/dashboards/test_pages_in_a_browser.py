@@ -126,6 +126,22 @@ class TestStudy:
         assert page.evaluate("window.notReloaded")
         browser.assert_calm()
 
+    def test_what_is_finished_is_told_by_stage(self, browser, service):
+        stages = {
+            "polish": {"kind": "polish", "after": ["search", "novelty"]},
+            "novelty": {"kind": "novelty", "after": ["search"], "strategies": 1, "trainings": 2},
+        }
+        made = Record(service.store, service.artifacts, "staged", target=3, stages=stages).begin()
+        made.one(value=0.5, features=(0.0,))
+        page = ready(browser, "/studies/staged")
+        expect(page.locator("#fact-stages")).to_have_text("search 1, novelty 0, polish 0")
+        (trial,) = made.propose(stage="novelty")
+        made.start(trial)
+        expect(page.locator("#fact-stages")).to_have_text("search 1, novelty 0 (1 running), polish 0")
+        # Three of the search, twice one of the novelty, and five times five of the polish are the most there can be.
+        expect(page.locator("#fact-trials")).to_have_text("1 of 30 done, 1 running")
+        browser.assert_calm()
+
     def test_states_are_shown_as_they_are(self, browser, record):
         record.one(state=TrialState.DIVERGED, message="the return became NaN at iteration 3")
         record.one(state=TrialState.INFEASIBLE)

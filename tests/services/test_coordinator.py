@@ -1,129 +1,15 @@
 """The coordinator over a real SQLite store, with a scripted dispatcher in place of workers."""
 
-import json
-from dataclasses import dataclass, field
-
 import pytest
+from driven import Scripted, World
 
-from services.admission import admit
-from services.coordinator import START_LEASE_SECONDS, WORKER_LEASE_SECONDS, Coordinator
-from services.dispatch.port import Assignment, Beat, Began, Crashed, Ended, Hindered, Reported, Stopped, Vanished
+from services.coordinator import START_LEASE_SECONDS, WORKER_LEASE_SECONDS
+from services.dispatch.port import Beat, Began, Crashed, Hindered, Reported, Stopped, Vanished
 from services.errors import DatabaseUnavailable, StudyDriven
-from services.proposing import InlineStrategist, proposal_key
-from services.spec_check import parse_study
+from services.proposing import proposal_key
 from services.states import AttemptState, StudyState, TrialState
-from services.store.open import open_store
 from services.store.port import Driver
-from workers.contracts import Cost, Job, Outcome
-
-STUDY = """
-name: s
-task: {name: point_jump}
-search: {strategy: random, trials: 3}
-training: {budget: {samples: 100}}
-resources: {parallel: 2}
-retries: {limit: 1, backoff_seconds: 2.0}
-stop_after_failures: 2
-seed: 5
-"""
-
-
-@dataclass
-class Scripted:
-    """A dispatcher whose workers do what the test says."""
-
-    size: int = 8
-    given: list[Assignment] = field(default_factory=list)
-    inbox: list = field(default_factory=list)
-    stopped: list[int] = field(default_factory=list)
-    killed: list[int] = field(default_factory=list)
-    over: set[int] = field(default_factory=set)
-    dropped: list[tuple[str, int]] = field(default_factory=list)
-
-    def pools(self):
-        return {"default": self.size}
-
-    def rooms(self, pool):
-        busy = {assignment.attempt for assignment in self.given if assignment.pool == pool} - self.over
-        return {"host": self.size - len(busy)}
-
-    def open(self, study_key, task):
-        pass
-
-    def start(self, assignment):
-        self.given.append(assignment)
-        return "scripted"
-
-    def stop(self, attempt):
-        self.stopped.append(attempt)
-
-    def kill(self, attempt):
-        self.killed.append(attempt)
-        self.over.add(attempt)
-
-    def poll(self, deliver, timeout):
-        messages, self.inbox = self.inbox, []
-        if messages:
-            deliver(messages)
-            self.over |= {m.attempt for m in messages if isinstance(m, Ended | Stopped | Crashed | Vanished)}
-
-    def drop_checkpoints(self, study_key, trial):
-        self.dropped.append((study_key, trial))
-
-    def close(self):
-        pass
-
-    def end(self, assignment, value=1.0, status="complete", **more):
-        outcome = Outcome(status, value=value if status == "complete" else None, cost=Cost(10, 1.0), **more)
-        self.inbox.append(Ended(assignment.attempt, assignment.token, outcome=outcome.to_json()))
-
-
-class Clock:
-    def __init__(self):
-        self.now = 1000.0
-
-    def __call__(self):
-        return self.now
-
-    def sleep(self, seconds):
-        self.now += seconds
-
-
-class World:
-    """One driver over one store."""
-
-    def __init__(self, path, text=STUDY, overrides=()):
-        self.store = open_store(path)
-        self.clock = Clock()
-        self.dispatcher = Scripted()
-        self.row = admit(self.store, parse_study(text, name="s.yaml", overrides=list(overrides)))
-        self.coordinator = self.driver()
-
-    def driver(self, dispatcher=None):
-        return Coordinator(
-            self.store,
-            dispatcher or self.dispatcher,
-            InlineStrategist(),
-            clock=self.clock,
-            sleep=self.clock.sleep,
-        )
-
-    def steps(self, count=4, seconds=1.0):
-        for _ in range(count):
-            self.coordinator.step()
-            self.clock.now += seconds
-
-    def trials(self):
-        return self.store.trials(self.row.id)
-
-    def states(self):
-        return [trial.state.value for trial in self.trials()]
-
-    def attempts(self, number):
-        return [attempt.state for attempt in self.store.attempts(self.store.trial(self.row.id, number).id)]
-
-    def events(self, kind):
-        return [event for event in self.store.events(study_id=self.row.id) if event.kind == kind]
+from workers.contracts import Job
 
 
 @pytest.fixture(params=[()])
@@ -605,6 +491,10 @@ def test_a_database_that_can_be_read_and_not_written_is_waited_for(tmp_path):
     assert world.trials()[0].value == 7.0
     assert world.clock.now - began > 3.0
     assert world.coordinator.trouble() == ""
+    assert world.told == [
+        "Nothing can be recorded, so nothing new is started until it can; running trainings go on. away",
+        "The database can be written again: going on.",
+    ]
     back = [event for event in world.store.events() if event.kind == "database_back"]
     assert [event.payload["reason"] for event in back] == ["away"]
     world.store.close()
@@ -627,29 +517,4 @@ def test_a_read_that_fails_does_not_end_the_driver(tmp_path):
     world.dispatcher.poll = lambda deliver, timeout: world.clock.sleep(1.0)
     world.coordinator.serve()
     assert reads["left"] == 0
-    world.store.close()
-
-
-def test_studies_of_higher_priority_get_the_slots_first(tmp_path):
-    world = World(tmp_path / "halma.db", overrides=["search.trials=9", "resources.parallel=2"])
-    admit(world.store, parse_study(STUDY, name="s.yaml", overrides=["name=urgent", "priority=5"]))
-    world.dispatcher.size = 2
-    world.coordinator.take("s")
-    world.coordinator.take("urgent")
-    world.steps()
-    assert {json.loads(given.job)["study"] for given in world.dispatcher.given} == {"urgent"}
-    world.store.close()
-
-
-def test_two_equal_studies_share_the_pool(tmp_path):
-    world = World(tmp_path / "halma.db", overrides=["resources.parallel=4", "search.trials=9"])
-    admit(
-        world.store, parse_study(STUDY, name="s.yaml", overrides=["name=t", "resources.parallel=4", "search.trials=9"])
-    )
-    world.dispatcher.size = 4
-    for name in ("s", "t"):
-        world.coordinator.take(name)
-    world.steps(6)
-    shares = [json.loads(given.job)["study"] for given in world.dispatcher.given]
-    assert sorted(shares) == ["s", "s", "t", "t"]
     world.store.close()

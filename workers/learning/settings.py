@@ -233,6 +233,32 @@ def refuse_unknown(section: str, prefix: str, given: Iterable[str], known: Itera
         raise BadSetting(section, f"{prefix}{key}", f"unknown setting; {hint}")
 
 
+_SEARCHED: Mapping[str, tuple[str, ...]] = {
+    "ppo": tuple(f.name for f in dataclasses.fields(PPOSettings)),
+    "network": ("activation",),
+}
+
+
+def check_searched(name: str) -> None:
+    """Refuse a parameter that is no setting of the learner (`ppo.clip`, `network.activation`); `BadSetting`."""
+    head, _, tail = name.partition(".")
+    if tail not in _SEARCHED.get(head, ()):
+        known = [f"{h}.{t}" for h, names in _SEARCHED.items() for t in names]
+        near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+        hint = f"; did you mean {' or '.join(repr(n) for n in near)}?" if near else ""
+        raise BadSetting("space", name, f"no setting of the learner{hint}")
+
+
+def with_searched(training: Mapping[str, JSON], params: Mapping[str, JSON]) -> dict[str, JSON]:
+    """A study's `training` with a candidate's settings of the learner laid over it. Raises `BadSetting`."""
+    merged: dict[str, JSON] = dict(training)
+    for name, value in params.items():
+        check_searched(name)
+        head, _, tail = name.partition(".")
+        merged[head] = {**(merged.get(head) or {}), tail: value}
+    return merged
+
+
 _Section = TypeVar("_Section", Budget, NetworkSettings, PPOSettings)
 
 

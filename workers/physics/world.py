@@ -110,6 +110,9 @@ class World:
             the frame itself.
         gravity: m/s^2, downwards.
         joints: of the athlete.
+        furnished: whether there are wall and mat; without them `mat_height` is 0.
+        loaded_steps: physics steps in a frame while a foot bears on the ground. Two (240 Hz) do for moving on the
+            ground at half the time; the push of a jump needs five.
     """
 
     athlete: Athlete
@@ -121,10 +124,14 @@ class World:
         measure_torque: bool = False,
         gravity: float = GRAVITY,
         joints: Sequence[Joint] = JOINTS,
+        furnished: bool = True,
+        loaded_steps: int = LOADED_STEPS,
     ) -> None:
         self.gravity = gravity
         self.joints = tuple(joints)
-        self.mat_height = mat_height
+        self.furnished = furnished
+        self.loaded_steps = loaded_steps
+        self.mat_height = mat_height if furnished else 0.0
         self.measure_torque = measure_torque
         self._client = -1
         self.rebuild()
@@ -146,9 +153,12 @@ class World:
             self._ground = bullet.loadURDF(str(ground), [0, 0, 0], upright, useMaximalCoordinates=True, **self._k)
             bullet.changeDynamics(self._ground, -1, lateralFriction=1.0, **self._k)
             self.wall_half_thickness = WALL_HALF_THICKNESS
-            self._wall = self._box([WALL_HALF_THICKNESS, _WALL_HALF_HEIGHT, _HALF_WIDTH])
-            self._mat = self._box([_MAT_HALF_LENGTH, self.mat_height / 2, _HALF_WIDTH])
-        self._put_mat()
+            self._wall = self._mat = -1
+            if self.furnished:
+                self._wall = self._box([WALL_HALF_THICKNESS, _WALL_HALF_HEIGHT, _HALF_WIDTH])
+                self._mat = self._box([_MAT_HALF_LENGTH, self.mat_height / 2, _HALF_WIDTH])
+        if self.furnished:
+            self._put_mat()
         bullet.setPhysicsEngineParameter(
             numSolverIterations=_SOLVER_ITERATIONS, deterministicOverlappingPairs=1, numSubSteps=0, **self._k
         )
@@ -176,12 +186,13 @@ class World:
             return
         self._in_flight = in_flight
         bullet.setPhysicsEngineParameter(numSubSteps=FLIGHT_STEPS if in_flight else 0, **self._k)
-        bullet.setTimeStep(FRAME if in_flight else FRAME / LOADED_STEPS, **self._k)
+        bullet.setTimeStep(FRAME if in_flight else FRAME / self.loaded_steps, **self._k)
 
     def set_bar(self, height: float) -> None:
         """Raise the wall to `height`, m; 0 buries it. Above 3 m its foot would leave the ground."""
         self.bar = height
-        self._put(self._wall, 0.0, height - _WALL_HALF_HEIGHT)
+        if self.furnished:
+            self._put(self._wall, 0.0, height - _WALL_HALF_HEIGHT)
 
     def _put_mat(self) -> None:
         """The mat begins where the wall ends."""
@@ -221,13 +232,13 @@ class World:
         loaded = self.loaded
         self._set_flight(in_flight=not loaded)
         if loaded:
-            dt = FRAME / LOADED_STEPS
-            for step in range(LOADED_STEPS):
+            dt = FRAME / self.loaded_steps
+            for step in range(self.loaded_steps):
                 self.athlete.actuate(watch_limits=step == 0)
                 if step == 0 and self.measure_torque:
                     seen.torque = self.athlete.torques(dt)
                 bullet.stepSimulation(**self._k)
-                self._look(seen, dt, 1 / LOADED_STEPS)
+                self._look(seen, dt, 1 / self.loaded_steps)
         else:
             self.athlete.actuate(watch_limits=True)
             if self.measure_torque:
@@ -263,6 +274,12 @@ class World:
                 seen.mat.add(link)
         seen.ground_force += force * share
         seen.ground_peak = max(seen.ground_peak, force)
+
+    def sunk(self) -> float:
+        """How deep the athlete, just placed, is in the ground, m."""
+        self.athlete.links()  # or Bullet looks where the bodies were
+        points = bullet.getClosestPoints(self.athlete.body, self._ground, 0.0, **self._k)
+        return max((-point[8] for point in points), default=0.0)
 
     def body_shapes(self) -> list[dict[str, object]]:
         """Collision shapes of the athlete's bodies, for pictures.

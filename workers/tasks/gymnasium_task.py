@@ -13,7 +13,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -22,7 +22,6 @@ import numpy as np
 from workers.contracts import (
     JSON,
     BadJob,
-    BadSetting,
     Context,
     FeatureSpec,
     Job,
@@ -34,7 +33,14 @@ from workers.contracts import (
 from workers.learning.ppo import POLICY_ARTIFACT, train
 from workers.learning.problem import Curriculum, Diverged, Trained
 from workers.learning.rollout import Episode, NotFinite, action_map, in_words, observation_size, play
-from workers.learning.settings import Budget, NetworkSettings, PPOSettings, TrainingSettings
+from workers.learning.settings import (
+    Budget,
+    NetworkSettings,
+    PPOSettings,
+    TrainingSettings,
+    check_searched,
+    with_searched,
+)
 from workers.tasks.features import WrongFeatures, mean_behaviour, read_behaviour
 from workers.tasks.gymnasium_settings import Arguments, EnvironmentSettings, read_settings
 from workers.user_code import EnvironmentFailed, UnknownTask, import_module, suggestion, user_traceback
@@ -205,29 +211,18 @@ class GymnasiumTask:
         return mean_behaviour(spec, [r for r in rows if r is not None])
 
     def _check_name(self, name: str) -> None:
-        head, _, tail = name.partition(".")
-        learner: Mapping[str, list[str]] = {
-            "ppo": [f.name for f in fields(PPOSettings)],
-            "network": ["activation"],
-        }
-        if not tail:
+        if "." in name:
+            check_searched(name)
+        else:
             self._arguments.check(name, name, "space")
-        elif tail not in learner.get(head, []):
-            known = [f"{h}.{t}" for h, names in learner.items() for t in names]
-            raise BadSetting("space", name, f"no setting of the learner{suggestion(name, known)}")
 
     def _apply(self, job: Job) -> tuple[TrainingSettings, dict[str, JSON]]:
         """The candidate's parameters, sorted into training settings and constructor arguments."""
-        training: dict[str, JSON] = dict(job.training)
-        arguments: dict[str, JSON] = {}
-        for name, value in job.params.items():
+        for name in job.params:
             self._check_name(name)
-            head, _, tail = name.partition(".")
-            if tail:
-                training[head] = {**(training.get(head) or {}), tail: value}
-            else:
-                arguments[name] = value
-        return TrainingSettings.parse(training, DEFAULTS), arguments
+        learner = {name: value for name, value in job.params.items() if "." in name}
+        arguments: dict[str, JSON] = {name: value for name, value in job.params.items() if "." not in name}
+        return TrainingSettings.parse(with_searched(job.training, learner), DEFAULTS), arguments
 
     def maker(self, settings: Mapping[str, JSON], params: Mapping[str, Scalar], z: float | None) -> Callable[[], Env]:
         """How to make the environment of a candidate, e.g. to look at it. Raises `BadSetting`."""
