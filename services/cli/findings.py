@@ -139,9 +139,8 @@ def contact_sheet(opened: Session, row: StudyRow, found: Sequence[Finding]) -> P
 
 
 def _next(opened: Session, row: StudyRow, found: Sequence[Finding]) -> None:
-    spec = spec_of(row)
     commands = []
-    if found and any(left.name == REPLAY for left in opened.store.artifacts(found[0].trial.id)):
+    if found and any(left.name in {REPLAY, POSE} for left in opened.store.artifacts(found[0].trial.id)):
         best = found[0].trial.number
         commands.append((f"halma replay {row.name} {best} --video {row.name}-{best}.mp4", "watch it"))
     commands.append((f"halma trials {row.name}", "all trials"))
