@@ -42,7 +42,11 @@ STATES: dict[str, dict[str, float]] = {
     "side jump": {"v_z": -1.99, "omega_x": -1.44, "omega_z": 0.44, "alpha": 0.70},
 }
 VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
-    "poses": {"offset": {}, "pose": {"actions": "pose"}},
+    "poses": {
+        "offset": {},
+        "pose": {"actions": "pose"},
+        "pose 12 -> 8": {"actions": "pose", "offset_easy": 12.0, "offset_hard": 8.0},
+    },
     "curriculum": {
         "success": {},
         "reward 30": {"curriculum": "reward", "bar_step": 0.01},

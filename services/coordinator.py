@@ -17,7 +17,7 @@ from services.dispatch.port import Dispatcher, Message
 from services.drive import Drive, Leaving, Live
 from services.driver import DriverWatch, this_process
 from services.errors import DatabaseUnavailable, HalmaError, Refused
-from services.held import Effect, Held, Write
+from services.held import Effect, Held, Tell, Write
 from services.proposing import ProposalRequest, Proposed, Strategist, trial_seed
 from services.scheduling import Scheduler
 from services.spec import StudySpec
@@ -52,6 +52,7 @@ class Coordinator:
         strategist: computes proposals.
         clock: monotonic seconds; a parameter so that tests can jump it.
         sleep: waits; likewise.
+        tell: is told what people should know at once.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class Coordinator:
         *,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
+        tell: Tell = lambda _: None,
     ) -> None:
         self._store = store
         self._dispatcher = dispatcher
@@ -70,7 +72,7 @@ class Coordinator:
         self._identity = this_process()
         self._leave: Leaving | None = None
         self._control_due = self._beat_due = self._adopt_due = 0.0
-        self._held = Held(store, sleep, impatient=lambda: self._leave is not None)
+        self._held = Held(store, sleep, impatient=lambda: self._leave is not None, tell=tell)
         self._arrivals = Arrivals(self._held, clock, dispatcher.drop_checkpoints)
         self._scheduler = Scheduler(dispatcher)
         self._watch = DriverWatch(store, clock, sleep)

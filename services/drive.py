@@ -198,7 +198,14 @@ class Drive:
         Failures before it don't count: whoever resumes a failed study has mended something.
         """
         limit = self.spec.stop_after_failures
-        last = self.history[self.taken_at :][-limit:]
+        told = self.history[self.taken_at :]
+        # Some settings diverge in any search; where all do, it is the task that gives no numbers.
+        if len(told) >= 4 * limit and all(trial.state is TrialState.DIVERGED for trial in self.history):
+            return (
+                f"all of the first {len(self.history)} trials diverged; the newest: {told[-1].message}; "
+                f"see what is wrong with the task: halma task check {self.spec.task.name}"
+            )
+        last = told[-limit:]
         if len(last) < limit or any(trial.state is not TrialState.FAILED for trial in last):
             return None
         return f"the last {limit} trials all failed (stop_after_failures: {limit}); the newest: {last[-1].message}"

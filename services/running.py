@@ -15,6 +15,7 @@ from services.coordinator import Coordinator
 from services.dispatch.inline import InlineDispatcher
 from services.driver import driving_words, lives
 from services.errors import HalmaError, InterruptedByUser
+from services.held import Tell
 from services.proposing import InlineStrategist
 from services.ray_environment import prepare
 from services.states import StudyState
@@ -63,6 +64,7 @@ def drive(
     pools: Mapping[str, int] | None = None,
     take_over: bool = False,
     ray_address: str | None = None,
+    tell: Tell = lambda _: None,
 ) -> StudyRow:
     """Drive a study until it is finished, paused or cancelled.
 
@@ -75,6 +77,7 @@ def drive(
             of the cluster at `ray_address`.
         take_over: fence off a living driver.
         ray_address: join this Ray cluster instead of starting a local one.
+        tell: is told what people should know meanwhile.
 
     Returns:
         The study as it was released.
@@ -86,14 +89,21 @@ def drive(
     """
     here = {"default": os.cpu_count() or 1}
     if inline:
-        _drive_inline(database, artifact_root, name, dict(pools or here), take_over=take_over)
+        _drive_inline(database, artifact_root, name, dict(pools or here), take_over=take_over, tell=tell)
     else:
         sizes = pools or (here if ray_address is None else None)
         prepare(ray_address)
         from services.ray_running import drive_with_ray  # noqa: PLC0415 - Ray takes a second to import
 
         drive_with_ray(
-            database, artifact_root, str(Path.cwd()), name, sizes, take_over=take_over, ray_address=ray_address
+            database,
+            artifact_root,
+            str(Path.cwd()),
+            name,
+            sizes,
+            take_over=take_over,
+            ray_address=ray_address,
+            tell=tell,
         )
     store = open_store(database)
     try:
@@ -112,10 +122,12 @@ def drive(
     return row
 
 
-def _drive_inline(database: str, artifact_root: str, name: str, sizes: dict[str, int], *, take_over: bool) -> None:
+def _drive_inline(
+    database: str, artifact_root: str, name: str, sizes: dict[str, int], *, take_over: bool, tell: Tell
+) -> None:
     store = open_store(database)
     artifacts = open_artifacts(artifact_root)
-    coordinator = Coordinator(store, InlineDispatcher(artifacts, sizes), InlineStrategist())
+    coordinator = Coordinator(store, InlineDispatcher(artifacts, sizes), InlineStrategist(), tell=tell)
     try:
         with leaving_on_signals(lambda: coordinator.leave(StudyState.PAUSED, INTERRUPTED)):
             coordinator.take(name, take_over=take_over)

@@ -8,7 +8,7 @@ import time
 from services.address import find_server
 from services.cli.findings import report
 from services.cli.progress import shown_progress
-from services.cli.session import Session, say
+from services.cli.session import Session, say, warn
 from services.driver import DriverWatch, driving_words, lives
 from services.errors import HalmaError, InterruptedByUser, StudyDriven
 from services.stages import stage_names
@@ -89,9 +89,14 @@ def drive_here(
                 take_over=take_over,
                 pools=_pools(row, cores) if cores or ray_address is None else None,
                 ray_address=ray_address,
+                tell=warn,
             )
     except InterruptedByUser:
         raise InterruptedByUser(f"Interrupted; nothing that was finished is lost. Go on: halma resume {name}") from None
+    except KeyboardInterrupt:
+        raise InterruptedByUser(
+            f"Interrupted at once; what had finished is on record. Go on: halma resume {name}"
+        ) from None
     except StudyDriven as error:
         raise StudyDriven(_driven(opened.store.study(name))) from error
     report(opened, opened.store.study(name))

@@ -27,7 +27,7 @@ def export(
     name: StudyName,
     form: Annotated[Format, typer.Option("--format", "-f", help="What to write.")] = Format.CSV,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="File; default: STUDY and a suffix, here.")
+        Path | None, typer.Option("--output", "--out", "-o", help="File or folder; default: STUDY and a suffix, here.")
     ] = None,
     db: Db = None,
 ) -> None:

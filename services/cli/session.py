@@ -67,6 +67,11 @@ def say(text: str = "") -> None:
     console().print(text, markup=False)
 
 
+def warn(text: str) -> None:
+    """One line on standard error, for people who wait in front of something that goes on."""
+    console(stderr=True).print(text, markup=False)
+
+
 def print_json(value: Any) -> None:
     """JSON on standard output; one value for each call."""
     sys.stdout.write(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")

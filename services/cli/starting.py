@@ -26,6 +26,7 @@ from services.cli.session import (
     print_json,
     say,
     session,
+    warn,
 )
 from services.errors import BadInput, NameTaken
 from services.problems import BadStudy
@@ -146,7 +147,7 @@ def serve(
         from services.ray_running import coordinator_serving  # noqa: PLC0415 - Ray reads the environment on import
 
         folder = str(Path.cwd())
-        with coordinator_serving(settings.database, settings.artifacts, folder, sizes, ray_address=ray):
+        with coordinator_serving(settings.database, settings.artifacts, folder, sizes, ray_address=ray, tell=warn):
             yield
 
     serving.serve(

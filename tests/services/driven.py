@@ -124,6 +124,7 @@ class World:
     def __init__(self, path, text=STUDY, overrides=()):
         self.store = open_store(path)
         self.clock = Clock()
+        self.told = []
         self.dispatcher = Scripted()
         self.row = admit(self.store, parse_study(text, name="s.yaml", overrides=list(overrides)))
         self.coordinator = self.driver()
@@ -135,6 +136,7 @@ class World:
             InlineStrategist(),
             clock=self.clock,
             sleep=self.clock.sleep,
+            tell=self.told.append,
         )
 
     def another(self, name, *overrides):

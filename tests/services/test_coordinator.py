@@ -245,6 +245,28 @@ def test_a_study_whose_every_trial_fails_stops_with_the_reason(world):
     assert row.reason == "the last 2 trials all failed (stop_after_failures: 2); the newest: no module"
 
 
+def test_a_study_of_which_nothing_but_divergence_comes_stops_with_the_reason(world):
+    """`stop_after_failures` is 2; four times as many, from the first trial on."""
+    with world.store.transaction() as change:
+        change.extend("s", trials=20)
+    done = 0
+    for _ in range(20):
+        world.steps()
+        row = world.store.study("s")
+        if row.state is StudyState.FAILED:
+            break
+        for assignment in world.dispatcher.given[done:]:
+            world.dispatcher.end(assignment, status="diverged", message="iteration 1: reward became NaN")
+        done = len(world.dispatcher.given)
+    assert row.state is StudyState.FAILED
+    diverged = row.counts["diverged"]
+    assert 8 <= diverged < 8 + 4
+    assert row.reason.startswith(
+        f"all of the first {diverged} trials diverged; the newest: iteration 1: reward became NaN;"
+    )
+    assert "halma task check" in row.reason
+
+
 def test_a_failed_study_that_is_resumed_gets_a_new_chance(world):
     test_a_study_whose_every_trial_fails_stops_with_the_reason(world)
     with world.store.transaction() as change:
@@ -491,6 +513,10 @@ def test_a_database_that_can_be_read_and_not_written_is_waited_for(tmp_path):
     assert world.trials()[0].value == 7.0
     assert world.clock.now - began > 3.0
     assert world.coordinator.trouble() == ""
+    assert world.told == [
+        "Nothing can be recorded, so nothing new is started until it can; running trainings go on. away",
+        "The database can be written again: going on.",
+    ]
     back = [event for event in world.store.events() if event.kind == "database_back"]
     assert [event.payload["reason"] for event in back] == ["away"]
     world.store.close()

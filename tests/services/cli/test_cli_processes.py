@@ -84,6 +84,24 @@ def test_ctrl_c_exits_with_130_and_says_how_to_go_on(shell, slow_run):
     assert len(after) == 12
 
 
+def test_ctrl_c_twice_ends_at_once_and_loses_nothing(shell, slow_run):
+    # Both before the next look at signals, which may be some 0.1 s away: a trial of this task has no checkpoints.
+    slow_run.send_signal(signal.SIGINT)
+    time.sleep(0.02)
+    slow_run.send_signal(signal.SIGTERM)
+    _, err = slow_run.communicate(timeout=PATIENCE)
+    assert slow_run.returncode == 130
+    assert err in {
+        "Interrupted at once; what had finished is on record. Go on: halma resume hill\n",
+        "Interrupted; nothing that was finished is lost. Go on: halma resume hill\n",  # it was just about to end
+    }
+    before = finished_trials(shell)
+    assert shell("resume", "hill", "--inline").code == 0
+    after = finished_trials(shell)
+    assert after[: len(before)] == before
+    assert len(after) == 12
+
+
 def test_a_killed_run_is_resumed_and_nothing_finished_is_run_twice(shell, slow_run):
     slow_run.kill()
     slow_run.communicate()

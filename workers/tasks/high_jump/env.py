@@ -42,6 +42,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         control_rate: actions a second; a divisor of 120.
         hard_rate: the same at the hardest levels, likewise; None: always `control_rate`.
         hardness: of a level, which schedules the control rate and how natural a jump has to be.
+        offsets: mean offset at which a jump is not natural at all, at the easiest and at the hardest levels, rad.
         obstacle: height of a box to be jumped over by its width, which is then the level, m; None for a bar.
         mat_height: m.
         recorder: keeps the frames of each episode, from the last `reset` on.
@@ -62,6 +63,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         control_rate: int = 10,
         hard_rate: int | None = None,
         hardness: rules.Hardness = rules.hardness_of_bar,
+        offsets: tuple[float, float] = rules.OFFSETS,
         obstacle: Callable[[float], float] | None = None,
         mat_height: float = 0.3,
         recorder: Recorder | None = None,
@@ -78,6 +80,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         self._unused = True
         self._rates = (control_rate, control_rate if hard_rate is None else hard_rate)
         self._hardness = hardness
+        self._offsets = offsets
         self._obstacle = obstacle
         self._reference = takeoff.push_off_pose()
         self._start = takeoff.start_state(self.world, state)
@@ -164,6 +167,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             offset=self._offset / self._actions,
             bar=self._level,
             hardness=self._hardness,
+            bounds=self._offsets,
         )
         metrics = {f"end_{name}": float(verdict == name) for name in ("wall", "ground", "time", "fall")}
         success = landed

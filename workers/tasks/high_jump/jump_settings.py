@@ -15,6 +15,7 @@ from workers.learning.settings import Rule, refuse_unknown, setting
 from workers.physics.athlete import Joint
 from workers.physics.world import GRAVITY
 from workers.poses.model import PoseModel
+from workers.tasks.high_jump import rules
 from workers.tasks.high_jump.behaviour import FeatureName
 from workers.tasks.high_jump.rules import Landing
 from workers.tasks.high_jump.takeoff import Formulation, TakeOff
@@ -25,6 +26,8 @@ _FORMULATION = Rule("str", choices=("support", "flight"))
 _FEATURE = Rule("str", choices=("facing", "rotation"))
 _CURRICULUM = Rule("str", choices=("success", "reward"))
 _CAST = Rule("str", choices=("none", "take_off", "swing"))
+_MOST = {"rad": 3.2, "rad/s": 15.0, "m/s": 8.0}
+"""Largest amounts of a take-off state, by their units."""
 Actions = Literal["offset", "pose"]
 CurriculumName = Literal["success", "reward"]
 
@@ -62,6 +65,8 @@ class JumpSettings:
             strategy can get, a polish finds out.
         control_rate: actions a second, a divisor of 120.
         control_rate_hard: the same at the hardest levels, up to which it rises; None: always `control_rate`.
+        offset_easy, offset_hard: mean offset (c_offset of equation 4, L1 norm, rad) at which a jump is not natural at
+            all, at the easiest and at the hardest levels.
         curriculum: what raises the level: how often the jumps of an iteration succeed (`success`), or mean rewards that
             add up to `reward_threshold` (`reward`, as published).
         reward_threshold: for that.
@@ -88,6 +93,8 @@ class JumpSettings:
     z_freeze: float | None = setting(None, Rule("float", 0.01, 10.0, optional=True))
     control_rate: int = setting(10, Rule("int", 1, 120))
     control_rate_hard: int | None = setting(None, Rule("int", 1, 120, optional=True))
+    offset_easy: float = setting(rules.OFFSET_EASY, Rule("float", 0.1, 1000.0))
+    offset_hard: float = setting(rules.OFFSET_HARD, Rule("float", 0.1, 1000.0))
     curriculum: CurriculumName = dataclasses.field(
         default="success", metadata={"rule": Rule("str", choices=("success", "reward"))}
     )
@@ -106,9 +113,9 @@ class JumpSettings:
     @classmethod
     def parse(cls, settings: Mapping[str, JSON]) -> Self:
         """The settings over their defaults. Raises `BadSetting` naming the field, what was expected and found."""
-        rules: dict[str, Rule] = {f.name: f.metadata["rule"] for f in dataclasses.fields(cls)}
-        refuse_unknown(SECTION, "", settings, rules)
-        values: dict[str, Any] = {key: rules[key].read(SECTION, key, value) for key, value in settings.items()}
+        fields: dict[str, Rule] = {f.name: f.metadata["rule"] for f in dataclasses.fields(cls)}
+        refuse_unknown(SECTION, "", settings, fields)
+        values: dict[str, Any] = {key: fields[key].read(SECTION, key, value) for key, value in settings.items()}
         parsed = cls(**values)
         parsed.check()
         return parsed
@@ -201,11 +208,21 @@ class JumpSettings:
 
     @classmethod
     def values_of(cls, params: Mapping[str, Scalar]) -> dict[str, float]:
-        """All parameters of a candidate; those that it lacks are in the middle of their range."""
-        return {
+        """All parameters of a candidate; those that it lacks are in the middle of their range.
+
+        Raises `BadSetting` for one that no athlete takes off with. The ranges of `parameters` are where a search looks
+        by default, and no such limits: a published take-off state lies outside of them.
+        """
+        values = {
             name: float(params.get(name, (float(spec.low or 0) + float(spec.high or 0)) / 2))
             for name, spec in cls.parameters.items()
         }
+        for name, value in values.items():
+            most = _MOST[cls.parameters[name].unit]
+            if not abs(value) <= most:
+                unit = cls.parameters[name].unit
+                raise BadSetting("space", name, f"expected from {-most:g} to {most:g} {unit}, found {value:g}")
+        return values
 
 
 @functools.cache

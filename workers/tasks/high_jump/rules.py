@@ -21,6 +21,7 @@ SPIN_PENALTY = 0.02
 """s/rad, in exp(-0.02 |omega|)."""
 OFFSET_EASY, OFFSET_HARD = 48.0, 15.0
 """Mean offset (L1 norm, rad) at which naturalness is 0, for low and for high bars."""
+OFFSETS = (OFFSET_EASY, OFFSET_HARD)
 OFFSET_EASY_BAR, OFFSET_HARD_BAR = 0.6, 1.6
 """Bars between which the bound falls, m."""
 
@@ -73,14 +74,17 @@ def hardness_of_bar(bar: float) -> float:
     return float(np.clip((bar - OFFSET_EASY_BAR) / (OFFSET_HARD_BAR - OFFSET_EASY_BAR), 0, 1))
 
 
-def offset_bound(bar: float, hardness: Hardness = hardness_of_bar) -> float:
-    """c_offset of equation 4 for a level (m)."""
-    return OFFSET_EASY + (OFFSET_HARD - OFFSET_EASY) * hardness(bar)
+def offset_bound(bar: float, hardness: Hardness = hardness_of_bar, bounds: tuple[float, float] = OFFSETS) -> float:
+    """c_offset of equation 4 for a level (m); `bounds` are those of the easiest and of the hardest."""
+    easy, hard = bounds
+    return easy + (hard - easy) * hardness(bar)
 
 
-def naturalness(offset: float, bar: float, hardness: Hardness = hardness_of_bar) -> float:
+def naturalness(
+    offset: float, bar: float, hardness: Hardness = hardness_of_bar, bounds: tuple[float, float] = OFFSETS
+) -> float:
     """1 - min((offset / c_offset)^2, 1), equation 4; `offset` is the mean L1 norm of the actions, rad."""
-    return 1.0 - min((offset / offset_bound(bar, hardness)) ** 2, 1.0)
+    return 1.0 - min((offset / offset_bound(bar, hardness, bounds)) ** 2, 1.0)
 
 
 def rate_at(level: float, easy: int, hard: int, hardness: Hardness = hardness_of_bar) -> int:
@@ -97,6 +101,7 @@ def reward(
     offset: float,
     bar: float,
     hardness: Hardness = hardness_of_bar,
+    bounds: tuple[float, float] = OFFSETS,
 ) -> float:
     """Reward of a finished jump, in [0, 1]: completion x exp(-0.02 |omega|) x safety x naturalness. Sparse.
 
@@ -107,8 +112,9 @@ def reward(
         offset: mean L1 norm of the actions, rad.
         bar: height of the bar, or whatever the level is, m.
         hardness: of a level.
+        bounds: of the offset, at the easiest and at the hardest levels, rad.
     """
     if not landed:
         return 0.0
     safety = HEAD_FIRST if head_first else 1.0
-    return float(np.exp(-SPIN_PENALTY * spin) * safety * naturalness(offset, bar, hardness))
+    return float(np.exp(-SPIN_PENALTY * spin) * safety * naturalness(offset, bar, hardness, bounds))

@@ -64,6 +64,7 @@ class JumpProblem:
             control_rate=s.control_rate,
             hard_rate=s.control_rate_hard,
             hardness=s.hardness,
+            offsets=(s.offset_easy, s.offset_hard),
             obstacle=s.obstacle,
             mat_height=s.mat_height,
             recorder=recorder,
