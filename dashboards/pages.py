@@ -20,7 +20,7 @@ from services.api.parameters import LARGEST_ID
 from services.api.service import Service, Uses
 from services.states import TrialState
 from services.store.port import StudyRow, TrialRow
-from services.value import TELLING, value_words
+from services.value import TELLING, UNIT_OF_VALUE, value_words
 
 router = APIRouter(include_in_schema=False)
 
@@ -100,7 +100,7 @@ def study_view(request: Request, service: Service, name: str, view: str) -> Resp
     row = service.store.study(name)
     data["study"] = StudyOut.of(row)
     data["view"] = view
-    data["value"] = value_of(service, row)
+    data["value"] = value_data(service, row)
     text = as_yaml(row, row.name) if view == "file" else ""
     return page(request, "study.html", data=data, study=row, view=view, text=text)
 
@@ -112,6 +112,11 @@ def value_of(service: Service, row: StudyRow) -> dict[str, str]:
     """
     told = value_words(service.store.trials(row.id, states=[TrialState.COMPLETE], limit=TELLING))
     return {"name": told.name, "unit": told.unit, "title": told.title}
+
+
+def value_data(service: Service, row: StudyRow) -> dict[str, Any]:
+    """The same for a page's script, which has to find out by itself where no trial is complete yet."""
+    return {**value_of(service, row), "units": UNIT_OF_VALUE}
 
 
 @router.get("/studies/{study}")

@@ -9,8 +9,8 @@ const MOST = 1500;
 const MOST_LINES = 12;
 
 export class BehaviourChart {
-  constructor(at, { study, trials, behaviour, valueTitle = "value", onHover = () => {}, onHint = () => {} }) {
-    Object.assign(this, { at, study, trials, behaviour, valueTitle, onHover, onHint });
+  constructor(at, { study, trials, behaviour, value, onHover = () => {}, onHint = () => {} }) {
+    Object.assign(this, { at, study, trials, behaviour, value, onHover, onHint });
     this.strategies = [];
     this.view = { turn: 0.9, tilt: 0.38 };
     onTheme(() => this.draw());
@@ -65,12 +65,12 @@ export class BehaviourChart {
       return [this.behaviour.low?.[index] ?? Math.min(...found), this.behaviour.high?.[index] ?? Math.max(...found)];
     });
     const [low, high] = values.length ? [Math.min(...values), Math.max(...values)] : [0, 0];
-    return { low, high, axes, label: this.valueTitle };
+    return { low, high, axes, label: this.value.title };
   }
 
   words(trial) {
     const where = this.behaviour.names.map((name, index) => `${name} ${feature(trial.features[index], this.behaviour.kind === "rotation" ? "" : this.behaviour.unit)}`).join(", ");
-    return `trial ${trial.number}: ${where}, ${this.valueTitle} ${number(trial.value)}`;
+    return `trial ${trial.number}: ${where}, ${this.value.title} ${number(trial.value)}`;
   }
 
   #draw() {

@@ -78,6 +78,16 @@ function countDistinct(wait = 0) {
 }
 
 const context = { base, study: study.name, trials, behaviour, units, space: study.spec.space ?? {}, task: study.task, value: page.value, hasDifficulty: Boolean(study.spec.has_difficulty), staged: Boolean(Object.keys(study.spec.stages ?? {}).length) };
+// Before a trial has completed nobody can say what a study's value is called: the first ones tell.
+function learnValue(newcomers) {
+  const complete = newcomers.filter((trial) => trial.state === "complete" && trial.value !== null);
+  if (!complete.length || page.value.name !== "value" || study.best_value !== null) return;
+  const name = Object.keys(page.value.units).find((one) => complete.every((trial) => trial.details[one] === trial.value));
+  if (!name) return;
+  const unit = page.value.units[name];
+  Object.assign(page.value, { name, unit, title: unit ? `${name} (${unit})` : name });
+}
+
 const panelOf = (id) => document.getElementById(id).closest(".panel");
 
 // The best value against what it cost, with buttons for what the cost is counted in.
@@ -102,7 +112,7 @@ const views = {
     };
     let space = null;
     if (behaviour) {
-      space = new BehaviourChart(document.getElementById("behaviour"), { ...context, valueTitle: context.value.title, onHover: light, onHint: (text) => setText("behaviour-hint", text) });
+      space = new BehaviourChart(document.getElementById("behaviour"), { ...context, onHover: light, onHint: (text) => setText("behaviour-hint", text) });
       saveButtons(panelOf("behaviour"), `${study.name}-behaviours`, () => document.querySelector("#behaviour > svg"));
     }
     const table = new TrialTable(document.getElementById("table"), context, { onHover: light });
@@ -189,6 +199,7 @@ ready.then(([view, position]) => new Live({
       document.getElementById("actions").replaceChildren();
     } else if (frame.type === "events") {
       pace.add(frame.trials);
+      learnValue(frame.trials);
       if (frame.trials.some((trial) => trial.position !== null)) countDistinct(10_000 * (1 + Math.random()));
       if (CHARTS.has(page.view)) {
         const before = trials.history().length;

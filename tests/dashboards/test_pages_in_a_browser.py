@@ -126,6 +126,22 @@ class TestStudy:
         assert page.evaluate("window.notReloaded")
         browser.assert_calm()
 
+    def test_what_the_value_is_called_is_learnt_from_the_first_trial(self, browser, record):
+        page = ready(browser, "/studies/jump")
+        (trial,) = record.propose()
+        attempt = record.start(trial)
+        expect(page.locator("#table thead")).to_contain_text("Value")
+        expect(page.locator("#progress i")).to_have_count(1)
+        record.finish(attempt, trial, value=0.8125, features=(0.5,), bar=0.8125)
+        expect(page.locator("#value-chart .ytitle")).to_have_text("bar (m)")
+        expect(page.locator("#table thead")).to_contain_text("Bar (m)")
+        expect(page.locator("#gallery .figure")).to_have_text("bar 0.8125 m")
+        expect(page.locator("#fact-best")).to_have_text("0.8125 m")
+        record.start(record.propose()[0])
+        expect(page.locator("#progress i")).to_have_count(2)
+        states = "all => all.map((one) => one.dataset.state)"
+        assert page.locator("#progress i").evaluate_all(states) == ["complete", "running"]
+
     def test_what_is_finished_is_told_by_stage(self, browser, service):
         stages = {
             "polish": {"kind": "polish", "after": ["search", "novelty"]},

@@ -245,6 +245,28 @@ def test_a_study_whose_every_trial_fails_stops_with_the_reason(world):
     assert row.reason == "the last 2 trials all failed (stop_after_failures: 2); the newest: no module"
 
 
+def test_a_study_of_which_nothing_but_divergence_comes_stops_with_the_reason(world):
+    """`stop_after_failures` is 2; four times as many, from the first trial on."""
+    with world.store.transaction() as change:
+        change.extend("s", trials=20)
+    done = 0
+    for _ in range(20):
+        world.steps()
+        row = world.store.study("s")
+        if row.state is StudyState.FAILED:
+            break
+        for assignment in world.dispatcher.given[done:]:
+            world.dispatcher.end(assignment, status="diverged", message="iteration 1: reward became NaN")
+        done = len(world.dispatcher.given)
+    assert row.state is StudyState.FAILED
+    diverged = row.counts["diverged"]
+    assert 8 <= diverged < 8 + 4
+    assert row.reason.startswith(
+        f"all of the first {diverged} trials diverged; the newest: iteration 1: reward became NaN;"
+    )
+    assert "halma task check" in row.reason
+
+
 def test_a_failed_study_that_is_resumed_gets_a_new_chance(world):
     test_a_study_whose_every_trial_fails_stops_with_the_reason(world)
     with world.store.transaction() as change:
@@ -299,7 +321,7 @@ def test_an_extension_between_the_last_result_and_the_release_is_not_lost(world)
         world.steps(1)
     (last,) = [given for given in world.dispatcher.given if given.attempt not in world.dispatcher.over]
     world.dispatcher.end(last)
-    world.coordinator._control_due = world.clock.now + 60  # it has just looked
+    world.coordinator._departures._control_due = world.clock.now + 60  # it has just looked
     with world.store.transaction() as change:
         change.extend("s", trials=2)
     world.steps(3)

@@ -198,21 +198,29 @@ class TrainingSettings:
     budget: Budget = field(default_factory=Budget)
     network: NetworkSettings = field(default_factory=NetworkSettings)
     ppo: PPOSettings = field(default_factory=PPOSettings)
+    trainer: str = "halma"
 
     @classmethod
-    def parse(cls, training: Mapping[str, JSON], defaults: TrainingSettings | None = None) -> TrainingSettings:
+    def parse(
+        cls,
+        training: Mapping[str, JSON],
+        defaults: TrainingSettings | None = None,
+        *,
+        trainers: tuple[str, ...] = ("halma",),
+    ) -> TrainingSettings:
         """The settings that a study's `training` gives, over a task's defaults.
 
         A budget given replaces the default budget as a whole. Raises `BadSetting` with section `training` and the
         dotted field for an unknown key (naming the nearest known one), a wrong type, a value out of range, or no
-        budget at all.
+        budget at all. `trainers` are those that the task can be trained by.
         """
         base = cls() if defaults is None else defaults
-        refuse_unknown("training", "", training, ("budget", "network", "ppo"))
+        refuse_unknown("training", "", training, ("budget", "network", "ppo", "trainer"))
+        trainer = Rule("str", choices=trainers).read("training", "trainer", training.get("trainer", "halma"))
         budget = _section("budget", training, Budget() if training.get("budget") else base.budget)
         if budget.samples is None and budget.iterations is None:
             raise BadSetting("training", "budget", "expected samples, iterations or both, found neither")
-        return cls(budget, _section("network", training, base.network), _section("ppo", training, base.ppo))
+        return cls(budget, _section("network", training, base.network), _section("ppo", training, base.ppo), trainer)
 
     def to_json(self) -> dict[str, JSON]:
         """As `training` in a study file, all defaults written out."""

@@ -30,6 +30,7 @@ from workers.contracts import (
     Scalar,
     TaskInfo,
 )
+from workers.learning import sb3
 from workers.learning.ppo import POLICY_ARTIFACT, train
 from workers.learning.problem import Curriculum, Diverged, Trained
 from workers.learning.rollout import Episode, NotFinite, action_map, in_words, observation_size, play
@@ -63,6 +64,9 @@ SPACE: Mapping[str, ParameterSpec] = {
     "ppo.minibatch": ParameterSpec("int", 32, 512, log=True),
 }
 """What is searched where the study file gives no space."""
+
+TRAINERS = ("halma", "sb3")
+"""Our PPO, or Stable-Baselines3's where it is installed."""
 
 
 class Renewed(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -141,9 +145,11 @@ class GymnasiumTask:
         looked at when a trial runs.
         """
         read = read_settings(settings, self._arguments)
-        TrainingSettings.parse(training, DEFAULTS)
+        parsed = TrainingSettings.parse(training, DEFAULTS, trainers=TRAINERS)
         for name in names:
             self._check_name(name)
+        if parsed.trainer == "sb3":
+            sb3.check(training, names)
         if self._arguments.needed <= {*read.arguments, "z", *([read.difficulty.argument] if read.difficulty else [])}:
             env = self._first(self._maker(read, {}, None))
             try:
@@ -168,7 +174,11 @@ class GymnasiumTask:
         if read.difficulty is not None and job.z is not None:
             training = replace(training, budget=read.difficulty.part_of(training.budget, job.z))
         problem = EnvironmentProblem(self._maker(read, arguments, job.z), rebuild=read.rebuild)
-        trained = train(job, context, problem, training)
+        if training.trainer == "sb3":
+            learner = {name: value for name, value in job.params.items() if "." in name}
+            trained = sb3.train(job, context, problem, training, with_searched(job.training, learner))
+        else:
+            trained = train(job, context, problem, training)
         context.save_artifact(POLICY_ARTIFACT, trained.policy.to_bytes())
         episodes = self._evaluate(job, problem, trained, read.episodes, training.ppo.episode_limit)
         returns = [e.total for e in episodes]
@@ -222,7 +232,7 @@ class GymnasiumTask:
             self._check_name(name)
         learner = {name: value for name, value in job.params.items() if "." in name}
         arguments: dict[str, JSON] = {name: value for name, value in job.params.items() if "." not in name}
-        return TrainingSettings.parse(with_searched(job.training, learner), DEFAULTS), arguments
+        return TrainingSettings.parse(with_searched(job.training, learner), DEFAULTS, trainers=TRAINERS), arguments
 
     def maker(self, settings: Mapping[str, JSON], params: Mapping[str, Scalar], z: float | None) -> Callable[[], Env]:
         """How to make the environment of a candidate, e.g. to look at it. Raises `BadSetting`."""
@@ -232,7 +242,7 @@ class GymnasiumTask:
     def budget_at(self, settings: Mapping[str, JSON], training: Mapping[str, JSON], z: float) -> Budget:
         """The budget of a training at difficulty z. Raises `BadSetting`."""
         difficulty = read_settings(settings, self._arguments).difficulty
-        whole = TrainingSettings.parse(training, DEFAULTS).budget
+        whole = TrainingSettings.parse(training, DEFAULTS, trainers=TRAINERS).budget
         return whole if difficulty is None else difficulty.part_of(whole, z)
 
     def _maker(self, read: EnvironmentSettings, arguments: Mapping[str, JSON], z: float | None) -> Callable[[], Env]:
