@@ -12,12 +12,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
-from services.arrivals import Arrivals, why_stopping
+from services.arrivals import Arrivals
+from services.departures import CONTROL_SECONDS, Departures
 from services.dispatch.port import Dispatcher, Message
 from services.drive import Drive, Leaving, Live
 from services.driver import DriverWatch, this_process
-from services.errors import DatabaseUnavailable, HalmaError, Refused
-from services.held import Effect, Held, Tell, Write
+from services.errors import DatabaseUnavailable, HalmaError
+from services.held import Effect, Held, Tell
 from services.proposing import ProposalRequest, Proposed, Strategist, trial_seed
 from services.scheduling import Scheduler
 from services.spec import StudySpec
@@ -27,9 +28,6 @@ from services.store.port import AttemptRow, Change, NewArtifact, NewTrial, Store
 POLL_SECONDS = 0.25
 """How long a pass waits for messages."""
 
-CONTROL_SECONDS = 0.5
-"""How often the driver looks for what people asked for."""
-
 BEAT_SECONDS = 3.0
 """How often the driver writes that it and its attempts live."""
 
@@ -38,9 +36,6 @@ WORKER_LEASE_SECONDS = 30.0
 
 START_LEASE_SECONDS = 180.0
 """The same while its worker process is still starting: importing the physics on a busy machine takes its time."""
-
-GRACE_SECONDS = 20.0
-"""How long attempts have to reach their next checkpoint when they are asked to stop."""
 
 
 class Coordinator:
@@ -70,10 +65,10 @@ class Coordinator:
         self._strategist = strategist
         self._clock = clock
         self._identity = this_process()
-        self._leave: Leaving | None = None
-        self._control_due = self._beat_due = self._adopt_due = 0.0
-        self._held = Held(store, sleep, impatient=lambda: self._leave is not None, tell=tell)
+        self._beat_due = self._adopt_due = 0.0
+        self._held = Held(store, sleep, impatient=lambda: self._departures.leave is not None, tell=tell)
         self._arrivals = Arrivals(self._held, clock, dispatcher.drop_checkpoints)
+        self._departures = Departures(store, self._held, dispatcher, strategist, self._arrivals, clock)
         self._scheduler = Scheduler(dispatcher)
         self._watch = DriverWatch(store, clock, sleep)
 
@@ -119,7 +114,7 @@ class Coordinator:
 
     def leave(self, state: StudyState, reason: str) -> None:
         """Stop at the next checkpoints and release every study in `state`. May be called from a signal handler."""
-        self._leave = Leaving(state, reason)
+        self._departures.leave = Leaving(state, reason)
 
     def driven(self) -> list[str]:
         """Names of the studies in its hands."""
@@ -134,8 +129,8 @@ class Coordinator:
 
     def serve(self) -> None:
         """Drive every study that wants to run, until asked to leave."""
-        while self._leave is None or self._held.drives:
-            if self._leave is None:
+        while self._departures.leave is None or self._held.drives:
+            if self._departures.leave is None:
                 self._patient(self._adopt)
             self._patient(self.step)
 
@@ -178,7 +173,7 @@ class Coordinator:
         self._take_proposals()
         self._keep_up()
         self._fill()
-        self._release()
+        self._departures.release()
 
     def close(self) -> None:
         """Let go of the workers."""
@@ -186,7 +181,7 @@ class Coordinator:
 
     def _receive(self, messages: Sequence[Message]) -> None:
         self._arrivals.take(messages)
-        self._control()
+        self._departures.control()
 
     # -- proposals -------------------------------------------------------------------------------------------------
 
@@ -199,7 +194,7 @@ class Coordinator:
             if answer.missing_from is not None:
                 drive.told = answer.missing_from
             elif answer.error:
-                self._send_away(drive, Leaving(StudyState.FAILED, f"the strategy failed: {answer.error}"))
+                self._departures.send_away(drive, Leaving(StudyState.FAILED, f"the strategy failed: {answer.error}"))
             elif drive.leaving is None:
                 drive.told = asked.history
                 self._record(drive, asked, answer)
@@ -235,36 +230,29 @@ class Coordinator:
             )
             return [lambda: self._opened(drive, rows)]
 
-        self._guarded(drive, write)
+        self._departures.guarded(drive, write)
 
     @staticmethod
     def _opened(drive: Drive, rows: Sequence[TrialRow]) -> None:
         drive.open.update({row.number: row for row in rows})
         drive.next_number += len(rows)
 
-    def _guarded(self, drive: Drive, write: Write) -> None:
-        """Commit for a study; drop it where another driver has taken it over."""
-        try:
-            self._held.commit(write)
-        except Refused as refusal:
-            self._drop(drive, str(refusal))
-
     # -- what people asked for, leases -----------------------------------------------------------------------------
 
     def _keep_up(self) -> None:
         now = self._clock()
-        self._control()
+        self._departures.control()
         if now >= self._beat_due:
             self._beat_due = now + BEAT_SECONDS
             for drive in list(self._held.drives.values()):
-                self._guarded(drive, partial(self._write_beats, drive))
+                self._departures.guarded(drive, partial(self._write_beats, drive))
         for drive in list(self._held.drives.values()):
             for live in list(drive.live.values()):
                 lease = WORKER_LEASE_SECONDS if live.taken_up else START_LEASE_SECONDS
                 if now - live.seen > lease:
                     self._lost(drive, live, f"not heard of for {now - live.seen:.0f} s")
                 elif now > drive.leave_by:
-                    self._stopped_by_force(drive, live)
+                    self._departures.stopped_by_force(drive, live)
 
     @staticmethod
     def _write_beats(drive: Drive, change: Change) -> list[Effect]:
@@ -277,67 +265,7 @@ class Coordinator:
 
     def _lost(self, drive: Drive, live: Live, reason: str) -> None:
         self._dispatcher.kill(live.attempt)
-        self._guarded(drive, lambda change: self._arrivals.vanished(change, drive, live, reason))
-
-    def _stopped_by_force(self, drive: Drive, live: Live) -> None:
-        """It had its time to reach a checkpoint; its last one is what the next attempt goes on from."""
-        self._dispatcher.kill(live.attempt)
-
-        def write(change: Change) -> list[Effect]:
-            why = f"{why_stopping(drive, live)} (ended after {GRACE_SECONDS:g} s)"
-            row = change.preempt(live.attempt, live.token, why)
-            return [lambda: self._arrivals.queued_again(drive, live, row, wait=0.0)]
-
-        self._guarded(drive, write)
-
-    def _control(self) -> None:
-        """Follow what people asked for. Also called while an inline trial runs, hence cheap when not due."""
-        if self._leave is not None:
-            for drive in self._held.drives.values():
-                if drive.leaving is None:
-                    self._send_away(drive, self._leave)
-        now = self._clock()
-        if now < self._control_due:
-            return
-        self._control_due = now + CONTROL_SECONDS
-        try:
-            rows = self._store.wanted(list(self._held.drives))
-        except DatabaseUnavailable:
-            return
-        for drive in list(self._held.drives.values()):
-            row = rows.get(drive.row.id)
-            if row is None:
-                self._drop(drive)
-                continue
-            if row.drive_token != drive.token:
-                self._drop(drive, "another driver has taken it over")
-                continue
-            drive.follow(row)
-            if drive.leaving is not None and drive.leaving.asked and row.wanted == "run":
-                drive.stay()
-            elif drive.leaving is None and row.wanted == "pause":
-                self._send_away(drive, Leaving(StudyState.PAUSED, "paused by request", asked=True))
-            elif row.wanted == "cancel" and not (drive.leaving and drive.leaving.cancels):
-                self._send_away(drive, Leaving(StudyState.CANCELLED, "cancelled by request", cancels=True))
-
-    def _send_away(self, drive: Drive, leaving: Leaving) -> None:
-        drive.leaving = leaving
-        drive.leave_by = self._clock() + GRACE_SECONDS
-        drive.asked = None
-        for live in drive.live.values():
-            if not live.stopping:
-                live.stopping = True
-                self._dispatcher.stop(live.attempt)
-
-    def _drop(self, drive: Drive, reason: str | None = None) -> None:
-        """The study is another driver's now, or deleted: end our workers, write nothing for it but what happened."""
-        for live in list(drive.live.values()):
-            self._dispatcher.kill(live.attempt)
-            self._held.forget(drive, live)
-        self._held.release(drive)
-        self._strategist.close(drive.row.id)
-        if reason is not None:
-            self._held.note(drive.row.id, "driver_fenced", reason)
+        self._departures.guarded(drive, lambda change: self._arrivals.vanished(change, drive, live, reason))
 
     # -- starting trials -------------------------------------------------------------------------------------------
 
@@ -371,7 +299,7 @@ class Coordinator:
         def write(change: Change) -> list[Effect]:
             return [start(change, trial) for trial in trials]
 
-        self._guarded(drive, write)
+        self._departures.guarded(drive, write)
 
     def _parent_artifacts(self, drive: Drive, trial: TrialRow) -> tuple[NewArtifact, ...]:
         if trial.warm_start is None:
@@ -396,41 +324,3 @@ class Coordinator:
         drive.open[trial.number] = replace(trial, state=TrialState.RUNNING, attempts=attempt.number)
         self._held.study_of[attempt.id] = drive.row.id
         self._dispatcher.start(drive.assignment(trial, live, parents))
-
-    # -- letting studies go ----------------------------------------------------------------------------------------
-
-    def _release(self) -> None:
-        for drive in list(self._held.drives.values()):
-            if drive.leaving is None:
-                reason = drive.hopeless()
-                if reason is not None:
-                    self._send_away(drive, Leaving(StudyState.FAILED, reason))
-                elif drive.finished():
-                    drive.leaving = Leaving(StudyState.COMPLETE, "")
-            if drive.leaving is not None and not drive.live:
-                self._let_go(drive, drive.leaving)
-
-    def _let_go(self, drive: Drive, leaving: Leaving) -> None:
-        # A last look: whoever extended the study, or took a pause back, was told that its driver goes on.
-        row = self._store.wanted([drive.row.id]).get(drive.row.id)
-        if row is not None and row.drive_token == drive.token:
-            drive.follow(row)
-            thought_better = leaving.asked and row.wanted == "run"
-            if thought_better or (leaving.state is StudyState.COMPLETE and not drive.finished()):
-                drive.stay()
-                return
-
-        def write(change: Change) -> list[Effect]:
-            if leaving.cancels:
-                for trial in drive.open.values():
-                    change.cancel_trial(trial.id, drive.token, leaving.reason)
-            change.release_drive(drive.row.id, drive.token, leaving.state, leaving.reason)
-            return [lambda: self._released(drive, cancelled=list(drive.open) if leaving.cancels else [])]
-
-        self._guarded(drive, write)
-
-    def _released(self, drive: Drive, cancelled: Sequence[int]) -> None:
-        for number in cancelled:
-            self._arrivals.sweep(drive, number)
-        self._held.release(drive)
-        self._strategist.close(drive.row.id)

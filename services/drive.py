@@ -94,6 +94,8 @@ class Drive:
     remarked: str = ""
     """Why the study waits, as its row says."""
     leaving: Leaving | None = None
+    _spent: tuple[int, int] = (0, 0)
+    """Of so many trials of the history, the samples."""
     leave_by: float = math.inf
     """Monotonic time at which attempts that have not stopped yet are ended."""
 
@@ -113,9 +115,18 @@ class Drive:
         """Cores its live attempts hold."""
         return sum(live.cpus for live in self.live.values())
 
+    def spent(self) -> int:
+        """Samples of the finished trials. Asked for several times in each pass, so only new ones are added up."""
+        known, samples = self._spent
+        if known > len(self.history):
+            known = samples = 0
+        samples += sum(trial.samples for trial in self.history[known:])
+        self._spent = (len(self.history), samples)
+        return samples
+
     def remaining(self) -> float:
         """How many more trials the budget allows now; infinite under a cost budget that is not spent."""
-        if self.row.target_cost is not None and sum(trial.samples for trial in self.history) >= self.row.target_cost:
+        if self.row.target_cost is not None and self.spent() >= self.row.target_cost:
             return 0
         # With stages the target is that of the search alone; the strategy knows when all of them are over.
         if self.row.target_trials is None or self.spec.stages:

@@ -321,7 +321,7 @@ def test_an_extension_between_the_last_result_and_the_release_is_not_lost(world)
         world.steps(1)
     (last,) = [given for given in world.dispatcher.given if given.attempt not in world.dispatcher.over]
     world.dispatcher.end(last)
-    world.coordinator._control_due = world.clock.now + 60  # it has just looked
+    world.coordinator._departures._control_due = world.clock.now + 60  # it has just looked
     with world.store.transaction() as change:
         change.extend("s", trials=2)
     world.steps(3)

@@ -131,6 +131,17 @@ training: {budget: {samples: 200}}
     assert all(Path(path).parts[-4] == "2-kept" for path in kept)
 
 
+def test_a_whole_study_keeps_its_files_on_an_s3_server(shell, hill, s3_root):
+    shell.write("hill.yaml", hill.replace(":hill", ":Painter"))
+    typed = shell("run", "hill.yaml", "--inline", "--artifacts", s3_root)
+    assert (typed.code, typed.err) == (0, "")
+    verified = shell("verify", "--artifacts", s3_root)
+    assert verified.out.startswith("12 files, ")
+    assert verified.out.endswith(f"in {s3_root}: as recorded\n")
+    assert shell("replay", "hill", "1").code != 0, "the files are there and nowhere else"
+    assert shell("gc", "--dry-run", "--artifacts", s3_root).out.startswith(f"Would remove 0 files, 0 B, from {s3_root}")
+
+
 def test_a_database_of_a_newer_schema_is_bad_input_with_what_to_do(shell, hill, painted):
     import sqlite3
 
