@@ -102,8 +102,16 @@ def fuzz(app: Any, each: int, chance: int) -> Fuzzed:
             try:
                 _one(operation, mode, each, chance, headers, found)
             except (Exception, BaseExceptionGroup) as error:  # noqa: BLE001  (whatever it is, it is the finding)
-                found.failures[f"{operation.label} ({mode.value})"] = f"{type(error).__name__}: {error}"[:2000]
+                told = "\n".join(f"{type(each).__name__}: {each}" for each in leaves(error))
+                found.failures[f"{operation.label} ({mode.value})"] = told[:4000]
     return found
+
+
+def leaves(error: BaseException) -> list[BaseException]:
+    """The errors inside groups of them, which is what there is to read."""
+    if isinstance(error, BaseExceptionGroup):
+        return [leaf for each in error.exceptions for leaf in leaves(each)]
+    return [error]
 
 
 def _one(operation: Any, mode: GenerationMode, each: int, chance: int, headers: dict[str, str], found: Fuzzed) -> None:
