@@ -32,16 +32,17 @@ def complete(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
 def draw(path: Path, x: np.ndarray | None, key: str, labels: tuple[str, str]) -> None:
     """One figure: means, with the standard error over problems and seeds as a band."""
     runs = complete([json.loads(line) for line in path.read_text().splitlines()])
-    figure, axes = plt.subplots(figsize=(8, 5))
-    for config, rows in runs.items():
-        Y = np.array([r[key] for r in rows], dtype=float)
+    figure, axes = plt.subplots(figsize=(9, 5))
+    curves = {config: np.array([r[key] for r in rows], dtype=float) for config, rows in runs.items()}
+    # in the order in which they end, as the legend beside them; ten colours, then the same with dashes
+    for i, (config, Y) in enumerate(sorted(curves.items(), key=lambda each: -each[1][:, -1].mean())):
         at = np.arange(1, Y.shape[1] + 1) if x is None else x
         mean, error = Y.mean(0), Y.std(0) / np.sqrt(len(Y))
-        (line,) = axes.plot(at, mean, label=config)
+        (line,) = axes.plot(at, mean, label=config, color=f"C{i % 10}", linestyle="-" if i < 10 else "--")
         axes.fill_between(at, mean - error, mean + error, color=line.get_color(), alpha=0.15)
     axes.set_xlabel(labels[0])
     axes.set_ylabel(labels[1])
-    axes.legend(fontsize="small")
+    axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     figure.tight_layout()
     figure.savefig(path.with_suffix(".png"), dpi=120)
     print(path.with_suffix(".png"))

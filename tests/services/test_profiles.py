@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.admission import StudyChanged, admit, refuse_changes
+from services.admission import StudyChanged, admit, changes_of
 from services.located_yaml import Located
 from services.problems import BadStudy
 from services.profiles import choose
@@ -129,10 +129,10 @@ def test_another_profile_is_another_study(tmp_path):
     quick = parse_study(FILE, name="a.yaml", overrides=["profile=quick", "name=hop"])
     row = admit(store, quick)
     assert row.spec["profile"] == "quick"
-    refuse_changes(row, quick, "a.yaml:1")
+    assert not changes_of(row, quick, "a.yaml:1", "halma run a.yaml --name NEW")
     paper = parse_study(FILE, name="a.yaml", overrides=["profile=paper"])
     with pytest.raises(StudyChanged, match=r"profile: the text 'quick' in the study, the text 'paper' in the file"):
-        refuse_changes(row, paper, "a.yaml:1")
+        changes_of(row, paper, "a.yaml:1", "halma run a.yaml --name NEW")
     store.close()
 
 

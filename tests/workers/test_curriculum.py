@@ -88,7 +88,7 @@ def test_rewards_that_add_up_raise_the_level_as_published():
     assert again.finished()
 
 
-@pytest.mark.parametrize("wrong", [{"step": 0.0}, {"threshold": 0.0}])
-def test_a_reward_curriculum_needs_a_step_and_a_threshold(wrong):
-    with pytest.raises(BadJob, match="expected a step and a threshold above 0"):
+@pytest.mark.parametrize(("wrong", "what"), [({"step": 0.0}, "step"), ({"threshold": 0.0}, "threshold")])
+def test_a_reward_curriculum_needs_a_step_and_a_threshold(wrong, what):
+    with pytest.raises(BadJob, match=f"expected a {what} above 0"):
         RewardCurriculum(**{"start": 0.5, "step": 0.01, "threshold": 30.0} | wrong)

@@ -7,6 +7,7 @@ from workers.physics.athlete import COORDINATES
 from workers.physics.rotations import from_rotation_vector
 from workers.physics.world import Contacts
 from workers.tasks.high_jump import rules, takeoff
+from workers.tasks.high_jump.env import HighJumpEnv
 from workers.tasks.high_jump.rules import Rules
 from workers.tasks.high_jump.settings import HighJumpSettings
 
@@ -106,3 +107,23 @@ def test_the_reward_is_sparse():
 def test_the_offset_bound_falls_from_48_to_15():
     assert [rules.offset_bound(bar) for bar in (0.3, 0.6, 1.6, 2.2)] == pytest.approx([48, 48, 15, 15])
     assert rules.naturalness(100.0, 0.5) == 0.0
+
+
+def pushing(limit):
+    """Reward and verdict of the jump of action 0 from the middle of the support, its push limited so."""
+    env = HighJumpEnv(HighJumpSettings().take_off({"alpha": 0.7, "v_z": -2.0}), push_limit=limit)
+    env.reset(options={"level": 0.1})
+    done = False
+    while not done:
+        _, reward, done, _, info = env.step(np.zeros(28))
+    env.close()
+    return reward, info
+
+
+def test_in_training_a_jump_that_pushes_too_hard_fails_and_earns_little():
+    free, info = pushing(None)
+    assert (info["verdict"], info["success"], info["metrics"]["hard_push"]) == ("landed", True, 0.0)
+    limited, info = pushing(0.5)
+    assert (info["verdict"], info["success"], info["metrics"]["hard_push"]) == ("landed", False, 1.0)
+    assert limited == pytest.approx(0.2 * free)
+    assert pushing(100.0)[0] == free

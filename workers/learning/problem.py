@@ -79,23 +79,19 @@ class Problem(Protocol):
 
 
 @dataclass(slots=True)
-class SuccessCurriculum:
-    """Raises the level by how often the last iteration succeeded.
-
-    At half the episodes one step, above 0.8 two, above 0.9 five.
+class Ladder:
+    """Levels in equal steps, and how far one has come: what curricula have in common.
 
     Args:
         start: first level.
         step: one step, in the level's unit.
-        freeze: the highest level; reached and mastered (half the episodes succeed), the training is finished.
-            None: never.
+        freeze: the highest level; reached and mastered, the training is finished. None: never.
     """
 
     start: float
     step: float
     freeze: float | None = None
     steps: int = field(default=0, init=False)
-    success_rate: float = field(default=0.0, init=False)
     mastered: float | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -112,20 +108,37 @@ class SuccessCurriculum:
         level = round(self.start + self.steps * self.step, 9)
         return level if self.freeze is None else min(level, self.freeze)
 
+    def climb(self, steps: int) -> None:
+        """The level is mastered: so many steps up."""
+        self.mastered = self.level
+        self.steps += steps
+
+    def finished(self) -> bool:
+        """Whether `freeze` has been mastered."""
+        return self.freeze is not None and self.mastered is not None and self.mastered >= self.freeze
+
+    def metrics(self) -> dict[str, float]:
+        """The highest level mastered, once there is one."""
+        return {} if self.mastered is None else {"level_mastered": self.mastered}
+
+
+@dataclass(slots=True)
+class SuccessCurriculum(Ladder):
+    """Raises the level by how often the last iteration succeeded.
+
+    At half the episodes one step (then the level counts as mastered), above 0.8 two, above 0.9 five.
+    """
+
+    success_rate: float = field(default=0.0, init=False)
+
     def update(self, returns: Sequence[float], successes: Sequence[bool]) -> None:  # noqa: ARG002 - only success counts
         """Raise the level. Raises `BadJob` where the environment reports no success."""
         if not successes:
             raise BadJob('curriculum: expected info["success"] at the end of each episode, found none')
         rate = sum(successes) / len(successes)
         self.success_rate = rate
-        if rate < 0.5:
-            return
-        self.mastered = self.level
-        self.steps += 5 if rate > 0.9 else 2 if rate > 0.8 else 1
-
-    def finished(self) -> bool:
-        """Whether `freeze` has been mastered."""
-        return self.freeze is not None and self.mastered is not None and self.mastered >= self.freeze
+        if rate >= 0.5:
+            self.climb(5 if rate > 0.9 else 2 if rate > 0.8 else 1)
 
     def state(self) -> dict[str, JSON]:
         """Steps taken, the last success rate and the highest level mastered."""
@@ -135,51 +148,29 @@ class SuccessCurriculum:
         """Continue from `state`."""
         self.steps, self.success_rate, self.mastered = state["steps"], state["success_rate"], state["mastered"]
 
-    def metrics(self) -> dict[str, float]:
-        """The highest level mastered, once there is one."""
-        return {} if self.mastered is None else {"level_mastered": self.mastered}
-
 
 @dataclass(slots=True)
-class RewardCurriculum:
+class RewardCurriculum(Ladder):
     """Raises the level one step whenever the mean returns of the iterations add up to a threshold (Yin et al. 2021).
 
     Args:
-        start: first level.
-        step: one step, in the level's unit.
-        freeze: the highest level; mastered (the threshold once more), the training is finished. None: never.
-        threshold: of the accumulated mean return; it counts from 0 at each level.
+        threshold: of the accumulated mean return; it counts from 0 at each level, which is then mastered.
     """
 
-    start: float
-    step: float
-    freeze: float | None = None
     threshold: float = 30.0
-    steps: int = field(default=0, init=False)
     accumulated: float = field(default=0.0, init=False)
-    mastered: float | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        if not (self.step > 0 and self.threshold > 0):
-            raise BadJob(f"curriculum: expected a step and a threshold above 0, found {self.step} and {self.threshold}")
-
-    @property
-    def level(self) -> float:
-        """Start plus whole steps, at most `freeze`."""
-        level = round(self.start + self.steps * self.step, 9)
-        return level if self.freeze is None else min(level, self.freeze)
+        Ladder.__post_init__(self)
+        if not self.threshold > 0:
+            raise BadJob(f"curriculum: expected a threshold above 0, found {self.threshold}")
 
     def update(self, returns: Sequence[float], successes: Sequence[bool]) -> None:  # noqa: ARG002 - only reward counts
         """Add the mean return, and raise the level where the sum has come to the threshold."""
         self.accumulated += sum(returns) / max(1, len(returns))
         if self.accumulated >= self.threshold:
-            self.mastered = self.level
-            self.steps += 1
+            self.climb(1)
             self.accumulated = 0.0
-
-    def finished(self) -> bool:
-        """Whether `freeze` has been mastered."""
-        return self.freeze is not None and self.mastered is not None and self.mastered >= self.freeze
 
     def state(self) -> dict[str, JSON]:
         """Steps taken, what has added up, and the highest level mastered."""
@@ -191,8 +182,7 @@ class RewardCurriculum:
 
     def metrics(self) -> dict[str, float]:
         """What has added up at this level, and the highest level mastered, once there is one."""
-        found = {"accumulated_return": self.accumulated}
-        return found if self.mastered is None else {**found, "level_mastered": self.mastered}
+        return {"accumulated_return": self.accumulated, **Ladder.metrics(self)}
 
 
 class Diverged(WorkerError):

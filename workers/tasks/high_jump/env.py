@@ -50,6 +50,8 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         gravity: m/s^2.
         landing: on which part the athlete may land, `any` or `feet`.
         joints: of the athlete.
+        push_limit: what the foot may push with, times the body's weight; a jump that pushes harder fails, and earns
+            little. None: anything. A training should learn nothing that the audit refuses.
         novelty: what the jump is to be unlike. Its reward is then multiplied by how new it is, and only one that would
             count as another strategy succeeds, so that the bar rises with new jumps alone.
     """
@@ -71,11 +73,13 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         gravity: float = GRAVITY,
         landing: rules.Landing = "any",
         joints: Sequence[Joint] = JOINTS,
+        push_limit: float | None = None,
         novelty: Novelty | None = None,
     ) -> None:
         self.state = state
         self.recorder = recorder
         self.world = World(mat_height, measure_torque=recorder is not None, gravity=gravity, joints=joints)
+        self._push_limit = np.inf if push_limit is None else push_limit * float(self.world.athlete.mass.sum()) * GRAVITY
         self._novelty = novelty
         self._unused = True
         self._rates = (control_rate, control_rate if hard_rate is None else hard_rate)
@@ -129,6 +133,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         self._offset = 0.0
         self._actions = 0
         self._passing = Passing()
+        self._push = 0.0
         if self.recorder is not None:
             self.recorder.start(self.world)
             self.recorder.add(self.world, Contacts())
@@ -147,6 +152,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             contacts = self.world.advance()
             self._elapsed += 1
             self._spin += self.world.athlete.spin()
+            self._push = max(self._push, contacts.ground_force)
             if self.recorder is not None:
                 self.recorder.add(self.world, contacts)
             if self._novelty is not None and self._passing.orientation is None:
@@ -171,11 +177,14 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         )
         metrics = {f"end_{name}": float(verdict == name) for name in ("wall", "ground", "time", "fall")}
         success = landed
+        if self._push > self._push_limit:
+            reward, success = reward * rules.HARD_PUSH, False
+        metrics["hard_push"] = float(self._push > self._push_limit)
         if landed and self._novelty is not None and self._passing.orientation is not None:
             found = behaviour_of(self._passing.orientation, self._novelty.spec)
             metrics["novelty"] = self._novelty.factor(found)
             reward *= metrics["novelty"]
-            success = self._novelty.is_new(found)
+            success = success and self._novelty.is_new(found)
         return observation, reward, True, False, {"success": success, "verdict": verdict, "metrics": metrics}
 
     def _rear(self) -> float:

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 
-from workers.audit import Audit, audit
+from workers.audit import PUSH, Audit, audit
 from workers.contracts import JSON, BadJob, Context, Job, Outcome, TaskInfo
 from workers.learning.policy import Policy, note_of, with_note
 from workers.learning.ppo import POLICY_ARTIFACT, train
@@ -30,6 +30,8 @@ from workers.tasks.high_jump.settings import TRAINING, HighJumpSettings, Obstacl
 
 REPLAY_ARTIFACT = "replay.bin"
 POSE_ARTIFACT = "pose.png"
+_MARGIN = 0.97
+"""Of what the audit lets the foot push with: a training keeps that much away from it."""
 _BACK = 0.1
 """m below the bar that a policy clears: with noise, where it goes on learning, it clears no more."""
 _REACH = 0.4
@@ -54,9 +56,11 @@ class JumpProblem:
 
     def make_env(self) -> gymnasium.Env[Any, Any]:
         """A new environment to train in."""
-        return self.env(None, novelty=self.novelty)
+        return self.env(None, push_limit=_MARGIN * PUSH, novelty=self.novelty)
 
-    def env(self, recorder: Recorder | None, novelty: Novelty | None = None) -> HighJumpEnv:
+    def env(
+        self, recorder: Recorder | None, *, push_limit: float | None = None, novelty: Novelty | None = None
+    ) -> HighJumpEnv:
         """A new environment that tells a recorder."""
         s = self.settings
         return HighJumpEnv(
@@ -72,6 +76,7 @@ class JumpProblem:
             gravity=s.gravity,
             landing=s.landing,
             joints=s.joints(),
+            push_limit=push_limit,
             novelty=novelty,
         )
 
