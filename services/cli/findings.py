@@ -14,6 +14,7 @@ from services.cli.tables import parameter_columns
 from services.cli.words import count, duration, first_line, several, state_words, value_of
 from services.contact_sheet import POSE, Tile, draw
 from services.errors import ArtifactDamaged
+from services.replaying import REPLAY
 from services.report import (
     Finding,
     behaviour_of,
@@ -53,7 +54,7 @@ def report(opened: Session, row: StudyRow) -> None:
         f"Cost: {several(sum(ended.values()), 'trial')} ({', '.join(f'{n} {state}' for state, n in ended.items())}), "
         f"{count(row.samples)} samples, {duration(row.seconds)} of training"
     )
-    _next(row, found)
+    _next(opened, row, found)
 
 
 def _headline(row: StudyRow, found: Sequence[Finding]) -> str:
@@ -137,10 +138,9 @@ def contact_sheet(opened: Session, row: StudyRow, found: Sequence[Finding]) -> P
         return None
 
 
-def _next(row: StudyRow, found: Sequence[Finding]) -> None:
-    spec = spec_of(row)
+def _next(opened: Session, row: StudyRow, found: Sequence[Finding]) -> None:
     commands = []
-    if found and isinstance(spec, ResolvedSpec) and spec.trains:
+    if found and any(left.name in {REPLAY, POSE} for left in opened.store.artifacts(found[0].trial.id)):
         best = found[0].trial.number
         commands.append((f"halma replay {row.name} {best} --video {row.name}-{best}.mp4", "watch it"))
     commands.append((f"halma trials {row.name}", "all trials"))

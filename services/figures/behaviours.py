@@ -22,6 +22,7 @@ from services.figures.style import (
     MARKS,
     SOFT,
     NotApplicable,
+    crowded,
     new_figure,
     plain,
     signed,
@@ -98,6 +99,7 @@ def _marks(
         of = [place for place, trial in enumerate(trials) if trial.state is state and (place in hidden) is behind]
         if of:
             style: dict[str, Any] = {**mark, "alpha": 0.15 if behind else 0.45 if state is TrialState.COMPLETE else 1.0}
+            style = crowded(style, len(of))
             axes.scatter([x[i] for i in of], [y[i] for i in of], zorder=3, clip_on=False, label=state.value, **style)
     places = {trial.number: place for place, trial in enumerate(trials)}
     for rank, finding in enumerate(shown.found, 1):

@@ -6,7 +6,18 @@ from matplotlib.figure import Figure
 
 from services.course import answers, course
 from services.figures.shown import Shown, values_of
-from services.figures.style import COLUMN, INK, MARKS, NotApplicable, counts, legend_above, new_figure, symbol, titled
+from services.figures.style import (
+    COLUMN,
+    INK,
+    MARKS,
+    NotApplicable,
+    counts,
+    crowded,
+    legend_above,
+    new_figure,
+    symbol,
+    titled,
+)
 from services.states import TrialState
 
 
@@ -29,7 +40,11 @@ def draw_cost(shown: Shown) -> Figure:
         hard = [step for step in of if answers(step.trial)] if state is TrialState.COMPLETE else of
         if hard:
             axes.scatter(
-                [s.samples for s in hard], values_of(s.trial for s in hard), label=state.value, zorder=2, **mark
+                [s.samples for s in hard],
+                values_of(s.trial for s in hard),
+                label=state.value,
+                zorder=2,
+                **crowded(mark, len(hard)),
             )
     soft = [step for step in easier if step.trial.state is TrialState.COMPLETE]
     if soft:
@@ -43,7 +58,7 @@ def draw_cost(shown: Shown) -> Figure:
         if none:
             axes.scatter(
                 none, [0.0] * len(none), transform=axes.get_xaxis_transform(), clip_on=False, zorder=4,
-                label=f"{state.value}, no value", **mark,
+                label=f"{state.value}, no value", **crowded(mark, len(none)),
             )  # fmt: skip
     axes.set_xlabel("samples spent (control steps)")
     axes.set_ylabel(titled(shown.value.name, shown.value.unit) if shown.value.name != "value" else symbol("value"))

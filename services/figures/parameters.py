@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ from services.figures.style import (
     PAGE,
     SOFT,
     NotApplicable,
+    crowded,
     logarithmic,
     new_figure,
     plain,
@@ -31,6 +32,8 @@ from services.figures.style import (
 from services.spec import Parameter
 from services.store.port import TrialRow
 
+MOST_LINES, BEST_LINES = 400, 50
+"""Parallel lines at most, and how many of them are the best."""
 ACROSS = 4
 """Small pictures in a row."""
 
@@ -50,7 +53,7 @@ def draw_parameters(shown: Shown) -> Figure:
             of = [trial for trial in shown.compared if trial.state is state]
             if of:
                 axes.scatter([place_of(parameter, trial.params[name]) for trial in of], values_of(of),
-                             clip_on=False, zorder=3, **mark)  # fmt: skip
+                             clip_on=False, zorder=3, **crowded(mark, len(of)))  # fmt: skip
         axes.set_xlabel(titled(name, shown.unit(name)))
         if parameter.type == "categorical":
             axes.set_xticks(range(len(parameter.choices)), labels=[plain(choice) for choice in parameter.choices])
@@ -140,12 +143,21 @@ def coordinates(shown: Shown) -> list[Coordinate]:
     return [*found, observed(titled(shown.value.name, shown.value.unit), lambda trial: trial.value)]
 
 
+def even(ranked: Sequence[TrialRow]) -> list[TrialRow]:
+    """The best and an even sample of the others, worst first: more lines would cover each other."""
+    if len(ranked) <= MOST_LINES:
+        return list(ranked)
+    others = ranked[:-BEST_LINES]
+    step = len(others) / (MOST_LINES - BEST_LINES)
+    return [*(others[int(place * step)] for place in range(MOST_LINES - BEST_LINES)), *ranked[-BEST_LINES:]]
+
+
 def draw_parallel(shown: Shown) -> Figure:
     """Parallel coordinates: a line for each trial, the best ones on top."""
     if not shown.compared:
         raise NotApplicable("no trial has a value")
     axes_of = coordinates(shown)
-    ranked = sorted(shown.compared, key=lambda trial: trial.value or 0.0)
+    ranked = even(sorted(shown.compared, key=lambda trial: trial.value or 0.0))
     values = [trial.value or 0.0 for trial in ranked]
     span = Normalize(values[0], values[-1] if values[-1] > values[0] else values[0] + 1)
     colours = mpl.colormaps[FIELD]
@@ -163,6 +175,12 @@ def draw_parallel(shown: Shown) -> Figure:
     axes = figure.subplots()
     axes.add_collection(LineCollection(lines, colors=hues, linewidths=widths, capstyle="round", joinstyle="round"))
     axes.set_xlim(-0.3, len(axes_of) - 0.7)
+    if len(ranked) < len(shown.compared):
+        figure.supxlabel(
+            f"the best {BEST_LINES} of {len(shown.compared):,} trials, "
+            f"and {MOST_LINES - BEST_LINES} evenly among the others",
+            fontsize=6.5, color=SOFT,
+        )  # fmt: skip
     axes.set_ylim(-0.02, 1.02)
     for side in axes.spines.values():
         side.set_visible(False)

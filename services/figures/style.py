@@ -93,6 +93,18 @@ GREEK = frozenset({"alpha", "beta", "gamma", "delta", "epsilon", "theta", "lambd
 SYMBOL = re.compile(r"([A-Za-z]+)(?:_([A-Za-z0-9]{1,3}))?")
 
 
+CROWD = 300
+"""Marks from which they get smaller and fainter, so that their density still shows."""
+
+
+def crowded(mark: Mapping[str, Any], count: int) -> dict[str, Any]:
+    """A mark for so many of its kind."""
+    if count <= CROWD:
+        return dict(mark)
+    share = math.sqrt(CROWD / count)
+    return {**mark, "s": max(1.5, mark["s"] * share), "alpha": max(0.15, mark.get("alpha", 1.0) * share)}
+
+
 class NotApplicable(Exception):
     """A figure that says nothing about this study; the message says why."""
 

@@ -229,6 +229,29 @@ class TestTrials:
             "Unknown column height. Known: number, state, value"
         )
 
+    @pytest.mark.parametrize(
+        ("condition", "numbers"),
+        [
+            ("facing > 90°", ["1"]),
+            ("facing < 90 and value > 0.3", ["2"]),
+            ("omega_x = 0", ["0"]),
+            ("1", ["1"]),
+            ("nan", ["3"]),
+            ("params.alpha > 2", []),
+        ],
+    )
+    def test_filters_read_what_the_table_shows(self, browser, record, condition, numbers):
+        for value, facing in ((0.2, 0.1), (0.4, 2.0), (0.6, -1.0)):
+            record.one(value=value, features=(facing,), iterations=1)
+        record.one(state=TrialState.DIVERGED, message="the return became NaN", iterations=1)
+        page = ready(browser, "/studies/jump/trials")
+        page.fill("#filters input[type=search]", condition)
+        expect(page.locator("#filters [role=status]")).to_have_text(f"{len(numbers)} of 4 trials")
+        rows = page.locator("#table tbody tr[data-number]")
+        expect(rows).to_have_count(len(numbers))
+        assert rows.evaluate_all("all => all.map((one) => one.dataset.number)") == numbers
+        browser.assert_calm()
+
     def test_states_and_columns_can_be_hidden(self, browser, record):
         record.one()
         record.one(state=TrialState.FAILED)

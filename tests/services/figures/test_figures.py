@@ -289,6 +289,15 @@ class TestWholeStudies:
             assert first == second
             assert first.startswith(magic)
 
+    def test_of_many_trials_the_best_lines_and_an_even_sample_are_drawn_and_said(self, shown):
+        rows = [trial(i, value=0.001 * i) for i in range(1000)]
+        figure = draw_parallel(shown(rows))
+        heights = [path.vertices[-1, 1] for path in figure.axes[0].collections[0].get_paths()]
+        assert len(heights) == 400
+        assert close(heights[-50:], [i / 999 for i in range(950, 1000)])
+        assert np.diff(heights).max() < 4 / 999
+        assert "the best 50 of 1,000 trials, and 350 evenly among the others" in words(figure)
+
     def test_many_marks_make_no_large_file(self, shown):
         with style():
             figure = draw_cost(shown([trial(i, value=0.001 * (i % 997)) for i in range(3000)]))
