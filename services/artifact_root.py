@@ -82,7 +82,8 @@ def _refuse_anothers(store: Store, artifacts: ArtifactStore) -> None:
     if owner not in {"", store.history_id()}:
         raise BadInput(
             f"artifacts {artifacts.url}: expected the artifacts of this database, found those of another one (its "
-            f"history is {owner}); give each database its own with --artifacts or HALMA_ARTIFACTS"
+            f"history is {owner}), whose studies have the same numbers; give each database its own with --artifacts or "
+            "HALMA_ARTIFACTS, or, where that database is gone, move these files away"
         )
 
 

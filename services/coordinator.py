@@ -66,7 +66,8 @@ class Coordinator:
         self._clock = clock
         self._identity = this_process()
         self._beat_due = self._adopt_due = 0.0
-        self._held = Held(store, sleep, impatient=lambda: self._departures.leave is not None, tell=tell)
+        self._listened = clock()
+        self._held = Held(store, sleep, clock, impatient=lambda: self._departures.leave is not None, tell=tell)
         self._arrivals = Arrivals(self._held, clock, dispatcher.drop_checkpoints)
         self._departures = Departures(store, self._held, dispatcher, strategist, self._arrivals, clock)
         self._scheduler = Scheduler(dispatcher)
@@ -170,6 +171,7 @@ class Coordinator:
     def step(self, timeout: float = POLL_SECONDS) -> None:
         """One pass: take what arrived, follow what people asked for, start what has room."""
         self._dispatcher.poll(self._receive, timeout)
+        self._listened = self._clock()
         self._take_proposals()
         self._keep_up()
         self._fill()
@@ -249,8 +251,10 @@ class Coordinator:
         for drive in list(self._held.drives.values()):
             for live in list(drive.live.values()):
                 lease = WORKER_LEASE_SECONDS if live.taken_up else START_LEASE_SECONDS
-                if now - live.seen > lease:
-                    self._lost(drive, live, f"not heard of for {now - live.seen:.0f} s")
+                # Until the last time that anybody listened: a driver that was itself stopped since knows nothing.
+                silence = self._listened - live.seen
+                if silence > lease:
+                    self._lost(drive, live, f"not heard of for {silence:.0f} s")
                 elif now > drive.leave_by:
                     self._departures.stopped_by_force(drive, live)
 

@@ -27,12 +27,14 @@ class Held:
     Args:
         store: the trial database.
         sleep: waits some seconds.
+        clock: monotonic seconds.
         impatient: whether a database that is away shall not be waited for.
         tell: is told when a wait for the database begins, and when it is over.
     """
 
     store: Store
     sleep: Callable[[float], None]
+    clock: Callable[[], float]
     impatient: Callable[[], bool]
     tell: Tell
     drives: dict[int, Drive] = field(default_factory=dict)
@@ -94,7 +96,7 @@ class Held:
         Raises:
             DatabaseUnavailable: it is away, and the driver has been asked to leave.
         """
-        pause, reason = 0.1, str(trouble)
+        pause, reason, began = 0.1, str(trouble), self.clock()
         self.trouble = reason
         self.tell(waiting_words(reason))
         while True:
@@ -112,6 +114,10 @@ class Held:
                 trouble = error
             else:
                 self.trouble = ""
+                # Nobody has listened meanwhile: that workers weren't heard of says nothing of them.
+                for drive in self.drives.values():
+                    for live in drive.live.values():
+                        live.seen += self.clock() - began
                 self.tell(waiting_words(""))
                 return
 

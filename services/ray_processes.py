@@ -48,7 +48,7 @@ class LocalRay:
         now = time.monotonic()
         if not gone and now >= self._due:
             self._due = now + LOOK_SECONDS
-            self._family |= set(_descendants(os.getpid()))
+            self._family = set(_descendants(os.getpid()))
         return " and ".join(gone)
 
     def end(self, exit_code: int) -> None:

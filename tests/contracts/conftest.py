@@ -7,6 +7,7 @@ import shutil
 
 import psycopg
 import pytest
+from store_study import Study
 
 from services.store.open import open_store
 
@@ -54,3 +55,8 @@ def store(database):
     store = open_store(database)
     yield store
     store.close()
+
+
+@pytest.fixture
+def study(store):
+    return Study(store)

@@ -126,7 +126,7 @@ def test_the_root_of_another_database_is_refused_even_for_adoption(store, files,
     other = open_store(tmp_path / "other.db")
     settle(other, files)
     for ask in (settle, adopt):
-        with pytest.raises(BadInput, match=re.escape(f"its history is {other.history_id()}); give each database its")):
+        with pytest.raises(BadInput, match=re.escape(f"its history is {other.history_id()}), whose studies")):
             ask(store, files)
     assert store.artifact_root() is None
     other.close()

@@ -522,6 +522,50 @@ def test_a_database_that_can_be_read_and_not_written_is_waited_for(tmp_path):
     world.store.close()
 
 
+def test_workers_are_not_taken_for_lost_while_their_driver_waits_for_its_database(tmp_path):
+    world = World(tmp_path / "halma.db")
+    world.store = flaky = Flaky(world.store)
+    world.coordinator = world.driver()
+    world.coordinator.take("s")
+    world.steps()
+    for given in world.dispatcher.given:
+        world.dispatcher.inbox.append(Beat(given.attempt, given.token))
+    world.steps(1)
+    for moment in ("a message", "the driver's own beat"):
+        flaky.fail_before = 40
+        began = world.clock.now
+        if moment == "a message":
+            world.dispatcher.report(world.dispatcher.given[0], 1)
+        else:
+            world.clock.now += 3.0
+        world.steps(1)
+        assert world.clock.now - began > 4 * WORKER_LEASE_SECONDS
+        for given in world.dispatcher.given:
+            world.dispatcher.inbox.append(Beat(given.attempt, given.token))
+        world.steps(2)
+        assert world.dispatcher.killed == [], moment
+    assert world.states() == ["running", "running"]
+    world.store.close()
+
+
+def test_a_driver_that_was_itself_stopped_listens_before_it_takes_workers_for_lost(world):
+    world.steps()
+    first, second = world.dispatcher.given
+    world.dispatcher.inbox += [Beat(given.attempt, given.token) for given in (first, second)]
+    answers = world.coordinator._strategist.answers
+
+    def stopped_for_a_while():
+        world.clock.now += 10 * WORKER_LEASE_SECONDS
+        world.coordinator._strategist.answers = answers
+        return answers()
+
+    world.coordinator._strategist.answers = stopped_for_a_while
+    world.steps(1)
+    world.dispatcher.inbox.append(Beat(first.attempt, first.token))  # it had been sent meanwhile
+    world.steps(1)
+    assert world.dispatcher.killed == [second.attempt], "only who has really said nothing"
+
+
 def test_a_read_that_fails_does_not_end_the_driver(tmp_path):
     world = World(tmp_path / "halma.db")
     reads = {"left": 2}
