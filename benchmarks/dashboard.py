@@ -26,6 +26,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import optuna
@@ -102,7 +104,7 @@ def measure(folder: Path, given: argparse.Namespace) -> None:
         print(
             f"{given.viewers} viewers, halma                {100 * share:.1f} % of a core, {server.memory():.0f} MB "
             f"(without: {quiet:.0f} MB), {given.rate:g} trials/s, {frames_got} frames, {requests} requests "
-            f"({len(asked) / SPAN:.2f} a second and page)"
+            f"({len(asked) / SPAN:.2f} a second and page: {kinds(asked)})"
         )
     store.close()
     if given.optuna:
@@ -153,6 +155,12 @@ def beside(folder: Path, trials: int, given: argparse.Namespace) -> None:
             f"{given.viewers} viewers, optuna-dashboard     {100 * share:.1f} % of a core, {server.memory():.0f} MB "
             f"(without: {quiet:.0f} MB), {given.rate:g} trials/s, {requests} requests"
         )
+
+
+def kinds(asked: Sequence[tuple[float, str]]) -> str:
+    """What a page asked for, by the last part of the path, and how often."""
+    count = Counter(path.partition("?")[0].rpartition("/")[2] for _, path in asked)
+    return ", ".join(f"{name} {times}" for name, times in count.most_common()) or "none"
 
 
 def told(what: str, delays: list[float]) -> None:

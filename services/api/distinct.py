@@ -35,7 +35,7 @@ class Distinct:
         with self._lock:
             length, found = self._known.pop(key, (-1, None))
             if length != len(history):
-                # The search's geometry comes with torch, which takes a second to import, once.
+                # The search's geometry: a server that nobody asks need not load it.
                 from services.report import behaviour_of, distinct_trials  # noqa: PLC0415
 
                 found = None if behaviour_of(study) is None else distinct_trials(study, history)
