@@ -44,7 +44,7 @@ bench: $(STAMP)  ## the quick benchmarks, each figure beside its baseline
 bench-search: $(STAMP)  ## the searches against their controls, quick version (minutes)
 	$(BIN)/python -m benchmarks.search.diversity --quick
 	$(BIN)/python -m benchmarks.search.quality --quick
-	$(BIN)/python -m benchmarks.search.speed --sizes 100,1000 --repeats 5
+	$(BIN)/python -m benchmarks.search.speed --quick
 
 fuzz-api: $(STAMP)  ## thousands of generated requests against the API's own description
 	$(BIN)/python benchmarks/fuzz_api.py --requests 6000

@@ -1,284 +1,164 @@
-"""How fast the pages are, in a real headless Chromium, over a study of 10,000 trials.
+"""How fast the pages are, in a real headless Chromium, over a study of 10,000 trials, beside optuna-dashboard.
 
-- `first view, cold`: from navigation to the study's table and chart being drawn; a new browser without a cache;
-- `first view, warm`: the same again in the same browser;
-- `commit to screen`: from a trial's commit to the changed count on the page, median and 90th percentile;
-- `viewers`: CPU (share of a core) and memory of the server while so many sockets listen and ten trials a second
-  start and end; the memory of the same server without viewers beside it;
-- `replay`: frames drawn a second while a recorded jump plays, and CPU seconds a frame.
+- `first view`: from navigation to the study's table and chart being drawn, by browsers without a cache (cold) and by
+  the same ones again (warm); for optuna-dashboard, over the same study exported, until its history plot is drawn;
+- `commit to screen`: from a trial's commit to the changed page, median and 90th percentile;
+- `viewers`: CPU (share of a core) and memory of the server while so many people have the study's page open and trials
+  start and end. A viewer is a socket that listens and the requests that one open page was seen to make by itself;
+  with optuna-dashboard it is the poll that its page makes every ten seconds;
+- `table of 50,000`: seconds until it is there, and frames a second while it scrolls, beside a table of 300;
+- `replay`: data frames drawn a second while a recorded jump plays.
 
-The server runs in a process of its own; the writer shares this one. On a machine that does other things at the same
-time, the times are too long and the CPU figures nearly right: the load average is printed beside them.
+The servers run in processes of their own; the writer shares this one. On a machine that does other things at the same
+time, the times are too long: the load average is printed beside them, before and after.
 
-    python benchmarks/dashboard.py [--trials 10000] [--viewers 100] [--folder FOLDER]
+    python benchmarks/dashboard.py [--trials 10000] [--viewers 100] [--rate 1] [--rows 50000] [--no-optuna]
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
-import contextlib
 import os
 import platform
-import shutil
-import socket
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
-import httpx
-import websockets
-from playwright.sync_api import Browser, Page, sync_playwright
+import optuna
+from playwright.sync_api import sync_playwright
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.browser import crowd, servers, watching
+from benchmarks.browser.record import Writer, motion, multiply
 from services.artifacts import open_artifacts
-from services.states import TrialState
 from services.store.open import open_store
-from services.store.port import AttemptRow, Driver, NewTrial, Result, Store, TrialRow
 
-TOKEN = "a-token-for-benchmarks"
 STUDY = "big"
-FLAGS = [
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-]  # fmt: skip
-SERVER = """
-import sys, uvicorn
-from dashboards.app import create_app
-from services.artifacts import open_artifacts
-from services.store.open import open_store
-folder, port, token = sys.argv[1:]
-app = create_app(open_store(folder + "/halma.db"), open_artifacts(folder + "/artifacts"), token=token)
-uvicorn.run(
-    app, host="127.0.0.1", port=int(port), log_level="warning", ws="websockets-sansio", ws_per_message_deflate=False
-)
-"""
-TICKS = os.sysconf("SC_CLK_TCK")
+SPAN = 20.0
+"""Seconds for which a page's own requests are noted."""
+POLL = 10.0
+"""Seconds between two polls of optuna-dashboard's page, as it comes."""
 
 
-class Writer:
-    """A driver of a study, with trials whose values and behaviours spread without chance."""
-
-    def __init__(self, store: Store, name: str) -> None:
-        self.store = store
-        spec = {
-            "name": name,
-            "task": {"name": "high_jump", "settings": {}},
-            "search": {"strategy": "bds", "trials": 10**6, "settings": {}, "cost": None},
-            "space": {f"x{i}": {"type": "float", "low": 0.0, "high": 1.0, "log": False} for i in range(4)},
-            "behaviour": {"kind": "circle", "names": ["facing"], "distinct": 0.5, "low": [], "high": [], "unit": "rad"},
-            "units": {},
-            "has_difficulty": False,
-            "trains": True,
-        }
-        with store.transaction() as change:
-            self.id = change.create_study(name, spec, seed=1, target_trials=10**6).id
-            self.token = change.drive(name, Driver("benchmark", "here", os.getpid()))
-        self.count = 0
-
-    def begin(self, count: int) -> list[tuple[TrialRow, AttemptRow]]:
-        """Propose and start so many, in one commit."""
-        with self.store.transaction() as change:
-            made = [
-                NewTrial({f"x{i}": (self.count + k) * (i + 1) * 0.618 % 1 for i in range(4)}, seed=self.count + k)
-                for k in range(count)
-            ]
-            rows = change.propose(
-                self.id, self.token, strategy="bds", history=0, pending=(), rng_key=(1,), seconds=0.1, trials=made
-            )
-            self.count += count
-            return [(row, change.start(row.id, self.token, worker="w", host="here")) for row in rows]
-
-    def end(self, begun: list[tuple[TrialRow, AttemptRow]], files: dict[str, bytes] | None = None) -> None:
-        """Finish them, in one commit."""
-        left = [open_files.put(f"{self.id}-x", begun[0][0].number, name, data) for name, data in (files or {}).items()]
-        with self.store.transaction() as change:
-            for row, attempt in begun:
-                value = row.number * 0.381966 % 1
-                facing = (row.number * 2.4 % 6.283) - 3.1415
-                result = Result(TrialState.COMPLETE, value, (facing,), samples=7000, seconds=30.0, artifacts=left)
-                change.finish(attempt.id, attempt.token, result)
-
-
-open_files = open_artifacts(Path(tempfile.gettempdir()))
-
-
-@contextlib.contextmanager
-def server(folder: Path) -> Iterator[tuple[str, int]]:
-    """A server in a process of its own; its address and process."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    process = subprocess.Popen([sys.executable, "-c", SERVER, str(folder), str(port), TOKEN])
-    url = f"http://127.0.0.1:{port}"
-    try:
-        for _ in range(600):
-            with contextlib.suppress(httpx.HTTPError):
-                if httpx.get(f"{url}/healthz").status_code == 200:
-                    break
-            time.sleep(0.1)
-        yield url, process.pid
-    finally:
-        process.terminate()
-        process.wait(20)
-
-
-def cpu_seconds(pid: int) -> float:
-    """CPU time of a process so far."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / TICKS
-
-
-def memory(pid: int) -> float:
-    """Resident memory of a process, MB."""
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def new_page(browser: Browser, url: str) -> Page:
-    """A page of a new context (so an empty cache) that is logged in."""
-    context = browser.new_context(viewport={"width": 1280, "height": 900})
-    context.set_default_timeout(300_000)
-    page = context.new_page()
-    page.goto(f"{url}/login")
-    page.fill("#token", TOKEN)
-    page.click("button[type=submit]")
-    page.wait_for_selector("#studies tbody tr")
-    return page
-
-
-def first_view(page: Page, url: str) -> float:
-    """Seconds from navigation until table and chart are drawn."""
-    start = time.perf_counter()
-    page.goto(f"{url}/studies/{STUDY}", wait_until="commit")
-    page.wait_for_selector("#table tbody tr[data-number]")
-    page.wait_for_selector("#value-chart[data-drawn]")
-    return time.perf_counter() - start
-
-
-def commit_to_screen(page: Page, writer: Writer, repeats: int) -> list[float]:
-    """Seconds from commits to the changed count on the page."""
-    page.wait_for_selector("#link[data-state=live]")
-    page.evaluate(
-        """() => {
-          window.seen = [];
-          const at = document.getElementById("fact-trials");
-          new MutationObserver(() => requestAnimationFrame(() => window.seen.push(
-            [at.textContent, (performance.timeOrigin + performance.now()) / 1000]))).observe(at, { childList: true });
-        }"""
-    )
-    delays = []
-    for _ in range(repeats):
-        begun = writer.begin(1)
-        time.sleep(0.6)
-        page.evaluate("() => { window.seen = []; }")
-        writer.end(begun)
-        committed = time.time()
-        while not (seen := page.evaluate("window.seen")):
-            time.sleep(0.02)
-        delays.append(seen[0][1] - committed)
-        time.sleep(0.3)
-    return delays
-
-
-async def viewers(url: str, pid: int, writer: Writer, count: int, seconds: float) -> tuple[float, int]:
-    """CPU share of the server while `count` sockets listen, and the frames they got."""
-    address = url.replace("http", "ws") + f"/api/v1/events?study={STUDY}&after={writer.store.last_event()}"
-    headers = {"authorization": f"Bearer {TOKEN}"}
-    got = 0
-
-    async def view() -> None:
-        nonlocal got
-        async with websockets.connect(address, additional_headers=headers, compression=None) as opened:
-            async for _ in opened:
-                got += 1
-
-    tasks = [asyncio.create_task(view()) for _ in range(count)]
-    await asyncio.sleep(3)
-    got, before, start = 0, cpu_seconds(pid), time.perf_counter()
-    while time.perf_counter() - start < seconds:
-        writer.end(writer.begin(1))
-        await asyncio.sleep(0.1)
-    share = (cpu_seconds(pid) - before) / (time.perf_counter() - start)
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
-    return share, got
-
-
-def replay(page: Page, url: str, number: int) -> tuple[float, float]:
-    """Frames drawn a second while playing, and the seconds until the replay was ready."""
-    start = time.perf_counter()
-    page.goto(f"{url}/studies/{STUDY}/trials/{number}", wait_until="commit")
-    page.wait_for_selector("halma-replay[data-state=ready]")
-    ready = time.perf_counter() - start
-    drawn, span = page.evaluate(
-        """async () => {
-          const replay = document.querySelector("halma-replay");
-          replay.speed.value = "0.1";
-          replay.play();
-          await new Promise((done) => setTimeout(done, 500));
-          const [from, start] = [replay.drawn, performance.now()];
-          await new Promise((done) => setTimeout(done, 4000));
-          return [replay.drawn - from, (performance.now() - start) / 1000];
-        }"""
-    )
-    return drawn / span, ready
-
-
-def recorded() -> bytes:
-    """A second of motion, untrained."""
-    from workers.physics.world import World  # noqa: PLC0415  (physics, for this figure only)
-    from workers.replay import Recorder  # noqa: PLC0415
-
-    world = World()
-    world.athlete.place([-0.8, 1.35, 0.0], [0.0, 0.0, 0.0, 1.0])
-    world.athlete.push([2.6, 1.6, 0.0], [0.0, 1.0, -1.0])
-    recorder = Recorder("right_ankle", {"name": "high_jump"})
-    recorder.start(world)
-    for _ in range(120):
-        recorder.add(world, world.advance())
-    world.close()
-    return recorder.replay().to_bytes()
-
-
-def measure(folder: Path, trials: int, count: int) -> None:
+def measure(folder: Path, given: argparse.Namespace) -> None:
     """Make the record, then take all figures."""
-    global open_files  # noqa: PLW0603  (one folder for this run)
-    open_files = open_artifacts(folder / "artifacts")
     store = open_store(folder / "halma.db")
-    writer = Writer(store, STUDY)
-    with_motion = writer.begin(1)
-    writer.end(with_motion, {"replay.bin": recorded()})
-    while writer.count < trials:
-        writer.end(writer.begin(min(500, trials - writer.count)))
-    with server(folder) as (url, pid), sync_playwright() as playwright:
-        chromium = shutil.which("chromium") or shutil.which("google-chrome")
-        cold = []
-        for _ in range(3):
-            browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
-            page = new_page(browser, url)
-            cold.append(first_view(page, url))
-            warm = [first_view(page, url) for _ in range(3)]
-            if len(cold) < 3:
-                browser.close()
-        print(f"first view, cold      {statistics.median(cold):8.2f} s   (of {len(cold)})")
-        print(f"first view, warm      {statistics.median(warm):8.2f} s   (of {len(warm)})")
-        delays = sorted(commit_to_screen(page, writer, 20))
-        print(f"commit to screen      {1000 * statistics.median(delays):8.0f} ms  (90 %: {1000 * delays[17]:.0f} ms)")
-        frames, ready = replay(page, url, with_motion[0][0].number)
-        print(f"replay                {frames:8.1f} frames/s   (ready after {ready:.2f} s)")
+    artifacts = open_artifacts(folder / "artifacts")
+    many, few = (Writer(store, artifacts, name) for name in ("many", "few"))
+    for one, count in ((many, given.rows), (few, 300)):
+        one.end(one.begin(1))
+        multiply(folder / "halma.db", one.id, count)
+    writer = Writer(store, artifacts, STUDY)
+    moving = writer.begin(1)
+    writer.end(moving, {"replay.bin": motion()})
+    writer.fill(given.trials)
+    if given.optuna:
+        began = time.perf_counter()
+        export = [str(Path(sys.executable).parent / "halma"), "export", STUDY, "--format", "optuna"]
+        export += ["--output", str(folder / "optuna.db"), "--db", str(folder / "halma.db")]
+        subprocess.run(export, check=True, stdout=subprocess.DEVNULL, env={**os.environ, "HALMA_HOME": str(folder)})
+        print(f"exported to Optuna in {time.perf_counter() - began:.0f} s")
+    with servers.halma(folder) as server, sync_playwright() as playwright:
+        views = watching.first_views(
+            playwright,
+            lambda browser: watching.page_of(browser, server),
+            lambda page: watching.first_view(page, server, STUDY),
+        )
+        print(f"first view, halma                 {views.words()}")
+        browser = watching.launch(playwright)
+        page = watching.page_of(browser, server)
+        watching.first_view(page, server, STUDY)
+        told("commit to screen, halma", watching.commit_to_screen(page, writer, 20))
+        asked = watching.requests_while_live(page, writer, SPAN, given.rate)
+        for name, rows in (("many", given.rows), ("few", 300)):
+            there, frames, slow, long = watching.scrolling(page, server, name)
+            print(
+                f"table of {rows:6,}                   there after {there:.2f} s; scrolling {frames:.0f} frames/s, "
+                f"99 % under {slow:.0f} ms, {long} long tasks"
+            )
+        frames, ready = watching.replay(page, server, STUDY, moving[0][0].number)
+        print(f"replay                            {frames:.1f} data frames/s   (ready after {ready:.2f} s)")
         browser.close()
     # Playwright's event loop is this thread's own as long as it runs, so the viewers come after it, at a fresh server.
-    with server(folder) as (url, pid):
-        quiet = memory(pid)
-        share, got = asyncio.run(viewers(url, pid, writer, count, 10.0))
-        print(f"{count:3d} viewers: CPU      {100 * share:8.1f} % of a core   ({got} frames)")
-        print(f"{count:3d} viewers: memory   {memory(pid):8.0f} MB   (without: {quiet:.0f} MB)")
+    with servers.halma(folder) as server:
+        quiet = server.memory()
+        share, frames_got, requests = asyncio.run(
+            crowd.watched(
+                server,
+                listen=f"/api/v1/events?study={STUDY}&after={store.last_event()}",
+                asked=asked,
+                span=SPAN,
+                count=given.viewers,
+                write=lambda: writer.end(writer.begin(1)),
+                rate=given.rate,
+                seconds=given.seconds,
+            )
+        )
+        print(
+            f"{given.viewers} viewers, halma                {100 * share:.1f} % of a core, {server.memory():.0f} MB "
+            f"(without: {quiet:.0f} MB), {given.rate:g} trials/s, {frames_got} frames, {requests} requests "
+            f"({len(asked) / SPAN:.2f} a second and page)"
+        )
     store.close()
+    if given.optuna:
+        beside(folder, writer.count, given)
+
+
+def beside(folder: Path, trials: int, given: argparse.Namespace) -> None:
+    """The same of optuna-dashboard over the study exported."""
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    database = folder / "optuna.db"
+    study = optuna.load_study(study_name=None, storage=f"sqlite:///{database}")
+    known = len(study.trials)
+    template = study.trials[0]
+
+    count = known
+
+    def add() -> None:
+        nonlocal count
+        study.add_trial(template)
+        count += 1
+
+    with servers.optuna_dashboard(database) as server, sync_playwright() as playwright:
+        views = watching.first_views(
+            playwright,
+            lambda browser: watching.page_of(browser, server, login=False),
+            lambda page: watching.optuna_first_view(page, server, known),
+        )
+        print(f"first view, optuna-dashboard      {views.words()}   ({known} of {trials} trials)")
+        browser = watching.launch(playwright)
+        page = watching.page_of(browser, server, login=False)
+        watching.optuna_first_view(page, server, known)
+        told("commit to screen, optuna-dashboard", watching.optuna_to_screen(page, add, 6))
+        browser.close()
+    with servers.optuna_dashboard(database) as server:
+        quiet = server.memory()
+        share, requests = asyncio.run(
+            crowd.polled(
+                server,
+                path=lambda: f"/api/studies/1?after={count}",
+                every=POLL,
+                count=given.viewers,
+                write=add,
+                rate=given.rate,
+                seconds=given.seconds,
+            )
+        )
+        print(
+            f"{given.viewers} viewers, optuna-dashboard     {100 * share:.1f} % of a core, {server.memory():.0f} MB "
+            f"(without: {quiet:.0f} MB), {given.rate:g} trials/s, {requests} requests"
+        )
+
+
+def told(what: str, delays: list[float]) -> None:
+    """A line of delays."""
+    late = delays[min(len(delays) - 1, round(0.9 * len(delays)) - 1)]
+    print(f"{what:33s} {1000 * statistics.median(delays):.0f} ms  (90 %: {1000 * late:.0f} ms, {len(delays)} times)")
 
 
 def main() -> None:
@@ -286,11 +166,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--trials", type=int, default=10_000)
     parser.add_argument("--viewers", type=int, default=100)
+    parser.add_argument("--rate", type=float, default=1.0, help="trials a second while people watch")
+    parser.add_argument("--seconds", type=float, default=30.0, help="how long they watch")
+    parser.add_argument("--rows", type=int, default=50_000, help="of the table that scrolls")
+    parser.add_argument("--no-optuna", dest="optuna", action="store_false", help="leave optuna-dashboard out")
     parser.add_argument("--folder", type=Path, default=None)
     given = parser.parse_args()
-    print(f"{given.trials} trials, {platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    load = [f"{value:.1f}" for value in os.getloadavg()]
+    print(f"{given.trials} trials, {platform.machine()}, {os.cpu_count()} cores, load {' '.join(load)}")
     with tempfile.TemporaryDirectory(prefix="halma-dashboard-", dir=given.folder) as folder:
-        measure(Path(folder), given.trials, given.viewers)
+        measure(Path(folder), given)
+    print(f"load afterwards {' '.join(f'{value:.1f}' for value in os.getloadavg())}")
 
 
 if __name__ == "__main__":

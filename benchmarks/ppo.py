@@ -1,12 +1,16 @@
 """Samples a second of a whole training (playing and learning), beside three others in the same run.
 
     OMP_NUM_THREADS=1 python benchmarks/ppo.py [--samples 20000] [--rounds 3] [--env Pendulum-v1]
+    OMP_NUM_THREADS=1 python benchmarks/ppo.py --env high_jump     # the athlete, from a take-off state that jumps
 
     random     the environment alone, stepped at random: what no learner can exceed on one core
     halma      `workers.learning.ppo.train`: eight environments in turn, inference batched in numpy
+    halma-N    as many trainings at once as there are cores, each in a process of its own, as a search runs them
     naive      the same algorithm as tutorials write it: one environment, torch inference for each step, torch's Adam
     sb3        Stable-Baselines3's PPO, eight environments in one process (`DummyVecEnv`), where it is installed
     sb3-sub    the same with an environment process for each core (`SubprocVecEnv`)
+
+The samples of halma-N are those of all its trainings together, each as long as `--samples` says.
 
 All of them on one torch thread, with the same environment, network (64-64 tanh), samples an iteration (2048),
 mini-batch (128) and epochs (5). The rounds alternate, so that whatever else the machine does hits all alike; medians
@@ -17,8 +21,11 @@ environment's own step.
 from __future__ import annotations
 
 import argparse
+import concurrent.futures
+import functools
 import importlib.util
 import itertools
+import multiprocessing
 import os
 import statistics
 import tempfile
@@ -40,6 +47,7 @@ from workers.learning.settings import Budget, NetworkSettings, PPOSettings, Trai
 from workers.local_context import LocalContext
 from workers.tasks.gymnasium_task import EnvironmentProblem
 
+JUMP = "high_jump"
 HIDDEN, BATCH, MINIBATCH, EPOCHS, ENVIRONMENTS = (64, 64), 2048, 128, 5, 8
 
 
@@ -51,8 +59,20 @@ def settings(samples: int) -> TrainingSettings:
     return TrainingSettings(Budget(samples), NetworkSettings(HIDDEN, "tanh"), ppo)
 
 
+def make(name: str) -> gymnasium.Env[Any, Any]:
+    """An environment by its id, or the athlete's. At module level: environment processes find it here."""
+    if name != JUMP:
+        return gymnasium.make(name, disable_env_checker=True)
+    from workers.tasks.high_jump.env import HighJumpEnv  # noqa: PLC0415 - Bullet, which the others don't need
+    from workers.tasks.high_jump.settings import HighJumpSettings  # noqa: PLC0415 - the same
+
+    env = HighJumpEnv(HighJumpSettings(formulation="flight").take_off({"alpha": 0.7, "v_z": -2.0}))
+    env.action_space = gymnasium.spaces.Box(-1.0, 1.0, env.action_space.shape)  # Stable-Baselines3 wants bounds
+    return env
+
+
 def random_stepping(name: str, samples: int) -> int:
-    env = gymnasium.make(name)
+    env = make(name)
     env.action_space.seed(0)
     env.reset(seed=0)
     for _ in range(samples):
@@ -63,15 +83,27 @@ def random_stepping(name: str, samples: int) -> int:
 
 
 def halma(name: str, samples: int) -> int:
-    problem = EnvironmentProblem(lambda: gymnasium.make(name, disable_env_checker=True), rebuild=True)
+    problem = EnvironmentProblem(lambda: make(name), rebuild=True)
     with tempfile.TemporaryDirectory() as folder:
         job = Job("benchmark", 0, f"gymnasium:{name}", {}, 1)
         return train(job, LocalContext(Path(folder)), problem, settings(samples)).cost.samples
 
 
+@functools.cache
+def workers() -> concurrent.futures.ProcessPoolExecutor:
+    """A process for each core."""
+    return concurrent.futures.ProcessPoolExecutor(os.cpu_count() or 1, multiprocessing.get_context("spawn"))
+
+
+def halma_on_each_core(name: str, samples: int) -> int:
+    """Trainings side by side, in processes that live on, as workers do."""
+    count = os.cpu_count() or 1
+    return sum(workers().map(halma, [name] * count, [samples] * count))
+
+
 def naive(name: str, samples: int) -> int:
     """PPO as tutorials write it."""
-    env = gymnasium.make(name)
+    env = make(name)
     size, out = env.observation_space.shape[0], env.action_space.shape[0]
 
     def network(outputs: int) -> torch.nn.Sequential:
@@ -127,7 +159,8 @@ def sb3(name: str, samples: int, *, processes: bool) -> int:
     from stable_baselines3 import PPO  # noqa: PLC0415 - an extra
     from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv  # noqa: PLC0415 - the same
 
-    makers = [lambda: gymnasium.make(name)] * (os.cpu_count() or 1 if processes else ENVIRONMENTS)
+    count = os.cpu_count() or 1 if processes else ENVIRONMENTS
+    makers: list[Callable[[], gymnasium.Env[Any, Any]]] = [functools.partial(make, name) for _ in range(count)]
     vector = SubprocVecEnv(makers) if processes else DummyVecEnv(makers)
     model = PPO(
         "MlpPolicy", vector, n_steps=BATCH // len(makers), batch_size=MINIBATCH, n_epochs=EPOCHS, device="cpu",
@@ -209,7 +242,12 @@ def main() -> None:
     parser.add_argument("--env", default="Pendulum-v1")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    rows: dict[str, Callable[[str, int], int]] = {"random": random_stepping, "halma": halma, "naive": naive}
+    rows: dict[str, Callable[[str, int], int]] = {
+        "random": random_stepping,
+        "halma": halma,
+        f"halma-{os.cpu_count()}": halma_on_each_core,
+        "naive": naive,
+    }
     if importlib.util.find_spec("stable_baselines3") is not None:
         rows["sb3"] = lambda name, samples: sb3(name, samples, processes=False)
         rows["sb3-sub"] = lambda name, samples: sb3(name, samples, processes=True)
@@ -221,14 +259,15 @@ def main() -> None:
             start = time.perf_counter()
             made = work(options.env, options.samples)
             wall[name].append(made / (time.perf_counter() - start))
-    print(f"{options.env}, {options.samples} samples, median of {options.rounds} rounds")
+    load = os.getloadavg()[0]
+    print(f"{options.env}, {options.samples} samples, median of {options.rounds} rounds, load average {load:.1f}")
     print("            samples/s   lowest  highest   of halma")
     ours = statistics.median(wall["halma"])
     for name, rates in wall.items():
         middle = statistics.median(rates)
         print(f"{name:10s} {middle:10.0f} {min(rates):8.0f} {max(rates):8.0f} {middle / ours:9.2f}")
     if "sb3" not in rows:
-        print("sb3: not installed (pip install stable-baselines3)")
+        print("sb3: not installed (it comes with the extra dev)")
     inference()
     overhead()
 

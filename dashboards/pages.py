@@ -13,13 +13,14 @@ from fastapi import APIRouter, Path, Request
 from fastapi.responses import RedirectResponse, Response
 from sqlalchemy.engine import make_url
 
+from dashboards.examples import EXAMPLES
 from dashboards.rendering import page, static_root
 from services.api.models import StudyOut, StudySummary
-from services.api.routes import LARGEST_ID
+from services.api.parameters import LARGEST_ID
 from services.api.service import Service, Uses
 from services.states import TrialState
 from services.store.port import StudyRow, TrialRow
-from services.value import TELLING, value_words
+from services.value import TELLING, UNIT_OF_VALUE, value_words
 
 router = APIRouter(include_in_schema=False)
 
@@ -65,7 +66,7 @@ def submit(request: Request, service: Uses, study: str = "") -> Response:
     if study:
         row = service.store.study(study)
         text = as_yaml(row, f"{row.name}-2")
-    return page(request, "submit.html", text=text, can_submit=service.submit is not None)
+    return page(request, "submit.html", text=text, can_submit=service.submit is not None, examples=EXAMPLES)
 
 
 def as_yaml(study: StudyRow, name: str) -> str:
@@ -76,8 +77,13 @@ def as_yaml(study: StudyRow, name: str) -> str:
 
     asked = {name: given(study.spec[name]) for name in StudySpec.model_fields if name in study.spec}
     asked = {name: value for name, value in asked.items() if value not in (None, {})}
+    for parameter in asked.get("space", {}).values():
+        # A linear scale is what everybody takes for granted.
+        if isinstance(parameter, dict) and parameter.get("log") is False:
+            del parameter["log"]
     asked["name"] = name
-    text: str = yaml.safe_dump(asked, sort_keys=False, allow_unicode=True)
+    # The innermost mappings and lists in one line each, as people write them.
+    text: str = yaml.safe_dump(asked, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
     return text
 
 
@@ -94,7 +100,7 @@ def study_view(request: Request, service: Service, name: str, view: str) -> Resp
     row = service.store.study(name)
     data["study"] = StudyOut.of(row)
     data["view"] = view
-    data["value"] = value_of(service, row)
+    data["value"] = value_data(service, row)
     text = as_yaml(row, row.name) if view == "file" else ""
     return page(request, "study.html", data=data, study=row, view=view, text=text)
 
@@ -106,6 +112,11 @@ def value_of(service: Service, row: StudyRow) -> dict[str, str]:
     """
     told = value_words(service.store.trials(row.id, states=[TrialState.COMPLETE], limit=TELLING))
     return {"name": told.name, "unit": told.unit, "title": told.title}
+
+
+def value_data(service: Service, row: StudyRow) -> dict[str, Any]:
+    """The same for a page's script, which has to find out by itself where no trial is complete yet."""
+    return {**value_of(service, row), "units": UNIT_OF_VALUE}
 
 
 @router.get("/studies/{study}")
@@ -175,6 +186,7 @@ def trial(request: Request, service: Uses, study: Study, number: Number) -> Resp
         family=family(service, row, one),
         command=repeat_command(service.store.url, row.name, number) if row.spec.get("trains") else "",
         value=value_of(service, row),
+        called=str(one.details.get("name") or ""),
         last=last,
         is_open=one.state in {TrialState.QUEUED, TrialState.RUNNING},
     )
@@ -204,6 +216,10 @@ def behaviour(study: StudyRow, one: TrialRow) -> list[dict[str, Any]]:
     """Name, coordinate and unit of each feature of a trial."""
     declared: Mapping[str, Any] = study.spec.get("behaviour") or {}
     features = one.features or ()
+    facing = one.details.get("facing")
+    if declared.get("kind") == "rotation" and isinstance(facing, float):
+        # Four coordinates of a rotation are for programs; they stand among the results.
+        return [{"name": "facing", "value": facing, "unit": "rad"}]
     names = list(declared.get("names", ()))
     names += [f"feature {index}" for index in range(len(names), len(features))]
     return [

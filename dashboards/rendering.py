@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 from dashboards import words
 from dashboards.vendor import STAMP
-from services.api.service import halma_version
+from services.version import halma_version
 
 HERE = Path(__file__).parent
 
@@ -55,6 +55,7 @@ def environment() -> Environment:
         glyph=words.glyph,
         feature=words.feature,
         listing=words.listing,
+        result=words.result,
         as_json=as_json,
     )
     env.globals.update(version=halma_version(), static=static_root())

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
+from services.value import UNIT_OF_VALUE
+
 GLYPHS: Mapping[str, str] = {
     "queued": "○",
     "running": "◐",
@@ -20,6 +22,10 @@ GLYPHS: Mapping[str, str] = {
     "preempted": "‖",
 }
 """One shape for each state, so that colour is never the only sign."""
+
+
+UNITS: Mapping[str, str] = {**UNIT_OF_VALUE, "facing": "rad", "approach": "m/s", "level": "m"}
+"""Units of the results that tasks name, by their names."""
 
 
 def number(value: Any, digits: int = 4) -> str:
@@ -93,3 +99,11 @@ def listing(value: Any) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(listing(inner) for inner in value)
     return number(value)
+
+
+def result(value: Any, name: str) -> str:
+    """A named result with its unit, where its name has one."""
+    unit = UNITS.get(name)
+    if unit is None or isinstance(value, bool) or not isinstance(value, int | float):
+        return number(value)
+    return feature(value, unit)

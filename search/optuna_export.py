@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
+import sqlite3
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
 
 import optuna
 
 from search.errors import SearchError
-from search.record import Status
 from search.space import Angle, Categorical, Int, Space
 
 _STATES: Mapping[str, optuna.trial.TrialState] = {
@@ -19,6 +19,9 @@ _STATES: Mapping[str, optuna.trial.TrialState] = {
     "infeasible": optuna.trial.TrialState.PRUNED,
     "diverged": optuna.trial.TrialState.FAIL,
     "failed": optuna.trial.TrialState.FAIL,
+    "cancelled": optuna.trial.TrialState.FAIL,
+    "running": optuna.trial.TrialState.RUNNING,
+    "queued": optuna.trial.TrialState.WAITING,
 }
 """Optuna knows no infeasible trial; pruned comes closest: it is learnt from, but is no candidate for the best."""
 
@@ -29,22 +32,24 @@ class ExportRefused(SearchError):
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One finished trial.
+    """One trial.
 
     Args:
         params: in natural units.
-        status: how it ended.
+        status: how it ended, or `running`, `queued`, `cancelled`.
         value: the objective; None where it has none.
-        started, finished: for Optuna's timelines.
+        started, finished: for Optuna's timelines; times with a zone, or None.
         attributes: JSON, kept as user attributes: number, features, cost.
+        intermediate: values of one metric by step.
     """
 
     params: Mapping[str, Any]
-    status: Status
+    status: str
     value: float | None
     started: datetime | None
     finished: datetime | None
     attributes: Mapping[str, Any]
+    intermediate: Mapping[int, float] = field(default_factory=dict)
 
 
 def distributions(space: Space) -> dict[str, optuna.distributions.BaseDistribution]:
@@ -62,31 +67,50 @@ def distributions(space: Space) -> dict[str, optuna.distributions.BaseDistributi
     return found
 
 
-def export(name: str, space: Space, trials: Sequence[Trial], storage: str) -> int:
+class _Quick(sqlite3.Connection):
+    """A connection to a file that nobody reads before it is whole: a power cut may take it, so it waits for no disk."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.execute("PRAGMA synchronous = OFF")
+
+
+def export(
+    name: str, space: Space, trials: Sequence[Trial], storage: str, attributes: Mapping[str, Any] | None = None
+) -> int:
     """Write an Optuna study that maximises.
 
     Args:
         name: of the study in the storage.
         space: what was searched over.
-        trials: in the order of finishing. One without a value counts as failed, whatever its status: Optuna keeps
-            no complete trial without one.
+        trials: in the order of their numbers, or of finishing; Optuna numbers them as they come. A complete one
+            without a value counts as failed: Optuna keeps none.
         storage: URL of an Optuna storage, e.g. `sqlite:///path`.
+        attributes: JSON, kept as user attributes of the study.
 
     Returns:
         How many trials were written.
 
     Raises:
-        ExportRefused: the storage has a study of that name.
+        ExportRefused: the storage has a study of that name, or can't be written.
     """
     verbosity = optuna.logging.get_verbosity()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
+    quick = {"connect_args": {"factory": _Quick}} if storage.startswith("sqlite:") else None
+    opened = optuna.storages.RDBStorage(storage, engine_kwargs=quick)
     try:
-        study = optuna.create_study(study_name=name, storage=storage, direction="maximize")
+        study = optuna.create_study(study_name=name, storage=opened, direction="maximize")
+        for key, value in (attributes or {}).items():
+            study.set_user_attr(key, value)
         known = distributions(space)
         study.add_trials([_frozen(trial, known) for trial in trials])
     except optuna.exceptions.DuplicatedStudyError:
         raise ExportRefused(f"expected no Optuna study {name} in {storage}, found one; give another file") from None
+    except optuna.exceptions.StorageInternalError as error:
+        raise ExportRefused(f"expected an Optuna storage that can be written, found {storage}: {error}") from None
     finally:
+        opened.remove_session()
+        opened.engine.dispose()
         optuna.logging.set_verbosity(verbosity)
     return len(trials)
 
@@ -100,8 +124,16 @@ def _frozen(trial: Trial, known: Mapping[str, optuna.distributions.BaseDistribut
         value=trial.value if state is optuna.trial.TrialState.COMPLETE else None,
         params=dict(trial.params),
         distributions=dict(known),
+        intermediate_values=dict(trial.intermediate),
         user_attrs={**trial.attributes, "status": trial.status},
     )
-    frozen.datetime_start = trial.started or frozen.datetime_start
-    frozen.datetime_complete = trial.finished or frozen.datetime_complete
+    # Optuna's times are local and have no zone. One that never began, such as a cancelled one, began when it ended.
+    begin = _local(trial.started or trial.finished)
+    frozen.datetime_start = None if state is optuna.trial.TrialState.WAITING else begin or frozen.datetime_start
+    if state.is_finished():
+        frozen.datetime_complete = _local(trial.finished or trial.started) or frozen.datetime_complete
     return frozen
+
+
+def _local(at: datetime | None) -> datetime | None:
+    return None if at is None else at.astimezone().replace(tzinfo=None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -16,6 +16,9 @@ from search.features import Features
 from search.space import Array, Scalar, Space
 
 Status = Literal["complete", "infeasible", "diverged", "failed"]
+
+LARGEST = 1e100
+"""Values further from 0 are learnt from as if they were this far: their squares have to be numbers."""
 
 SEARCH = "search"
 """The stage of a study that has no others, and the first one of a study that has."""
@@ -39,6 +42,13 @@ class Candidate:
     warm_start: int | None = None
     info: Mapping[str, Any] = field(default_factory=dict)
     stage: str = SEARCH
+
+
+def with_warnings(candidates: Sequence[Candidate], told: Sequence[str]) -> list[Candidate]:
+    """The candidates, with what went wrong on the way to them in `info["warnings"]`, if anything did."""
+    if not told:
+        return list(candidates)
+    return [replace(c, info={**c.info, "warnings": [*c.info.get("warnings", ()), *told]}) for c in candidates]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +76,7 @@ class Record:
 
     Args:
         X: ``n x d`` unit coordinates.
-        value: ``n``, NaN where unknown.
+        value: ``n``, within `LARGEST` of 0, NaN where unknown.
         features: ``n x D``, NaN rows where unknown.
         complete: ``n``, whether the status is `complete`.
         z: ``n``, 1 where the candidate had no difficulty.
@@ -175,7 +185,7 @@ def _outcome(
         raise BadHistory(f"{where}: expected a value for a complete trial, found None")
     if o.status == "complete" and needs_features and o.features is None:
         raise BadHistory(f"{where}: expected features for a complete trial, found None")
-    value = math.nan if o.value is None else _finite(o.value, f"{where}: value")
+    value = math.nan if o.value is None else max(-LARGEST, min(LARGEST, _finite(o.value, f"{where}: value")))
     cost = _finite(o.cost, f"{where}: cost")
     if cost < 0:
         raise BadHistory(f"{where}: expected a cost of at least 0, found {cost!r}")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
+from services.amending import AMENDABLE
 from services.errors import BadInput, NameTaken, UnknownStudy
 from services.problems import found_value
 from services.spec import ResolvedSpec, StudySpec
-from services.store.port import Store, StudyRow
+from services.store.port import JSON, Store, StudyRow
 
 
 class StudyChanged(BadInput):
@@ -48,51 +50,88 @@ def find(store: Store, name: str) -> StudyRow | None:
         return None
 
 
-def refuse_changes(row: StudyRow, spec: StudySpec, origin: str) -> None:
-    """Refuse a study file that no longer asks for what its study was created with.
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """What a study file asks for that its study doesn't have yet, and may have.
+
+    Args:
+        fields: to be amended, by dotted name.
+        trials: so many more.
+        cost: so many more samples.
+        words: `field: what it was -> what it will be`, for people.
+    """
+
+    fields: Mapping[str, JSON]
+    trials: int
+    cost: float
+    words: tuple[str, ...]
+
+    def __bool__(self) -> bool:
+        return bool(self.words)
+
+
+def changes_of(row: StudyRow, spec: StudySpec, origin: str, anew: str) -> Changes:
+    """What a study file asks for, other than when its study was created.
 
     What the file leaves to the task is no change: a newer task may have another space, the study keeps its own.
-    Neither is a budget that the study has meanwhile been extended to.
+    Neither is a budget that the study has meanwhile been extended to, nor the one it began with.
 
     Args:
         row: the study.
         spec: what its file asks for now, not resolved.
         origin: where the file gives the name, `file:line`.
+        anew: the command that makes a new study of the file.
 
     Raises:
-        StudyChanged: what changed, and what can be done.
+        StudyChanged: something that makes the study what it is; says what, what may be changed, and what can be done.
     """
     stored, asked = StudySpec.from_json(row.spec).to_json(), spec.to_json()
     if asked["space"] is None:
         asked["space"] = stored["space"]
     old, new = (flat({name: fields[name] for name in StudySpec.model_fields}) for fields in (stored, asked))
-    if row.target_trials == new.get("search.trials"):
-        old["search.trials"] = new["search.trials"]
-    if row.target_cost == new.get("search.cost"):
-        old["search.cost"] = new["search.cost"]
-    changed = [key for key in sorted({*old, *new}) if old.get(key) != new.get(key)]
-    if not changed:
-        return
-    lines = [f"  {key}: {_shown(old, key)} in the study, {_shown(new, key)} in the file" for key in changed]
-    raise StudyChanged(
-        "\n".join(
-            [
-                f"{origin}: name: expected the study {row.name} as it was created, or a new name, found changes:",
-                *lines,
-                f"A study keeps what it was created with. {_advice(row, changed, new)}",
-            ]
-        )
-    )
+    differing = [key for key in sorted({*old, *new}) if old.get(key) != new.get(key)]
+    fields, more, fixed, words = {}, dict[str, float](), [], []
+    for key in differing:
+        target = {"search.trials": row.target_trials, "search.cost": row.target_cost}.get(key)
+        if key in AMENDABLE and key in new:
+            fields[key] = new[key]
+            words.append(f"{key}: {_shown(old, key)} -> {_shown(new, key)}")
+        elif target is None or new.get(key) is None or new[key] < target:
+            fixed.append(f"  {key}: {_found(old, key, target)} in the study, {_shown(new, key)} in the file")
+        elif new[key] > target:
+            more[key] = new[key] - target
+            words.append(f"{key}: {found_value(target)} -> {_shown(new, key)}")
+    if fixed:
+        raise StudyChanged("\n".join([*_what_changed(row, origin, fixed), *_what_may(row, words, anew)]))
+    return Changes(fields, int(more.get("search.trials", 0)), more.get("search.cost", 0.0), tuple(words))
 
 
-def _advice(row: StudyRow, changed: list[str], new: Mapping[str, Any]) -> str:
-    fresh = "run the changed file as a new study with `--name NEW`"
-    trials = new.get("search.trials")
-    if changed == ["search.trials"] and trials is not None and row.target_trials is not None:
-        more = trials - row.target_trials
-        if more > 0:
-            return f"Raise its budget with `halma extend {row.name} --trials {more}`, or {fresh}."
-    return f"Go on with it as it is (`halma resume {row.name}`), or {fresh}."
+def apply_changes(store: Store, row: StudyRow, changes: Changes) -> StudyRow:
+    """Make the changes, all or none."""
+    with store.transaction() as change:
+        if changes.fields:
+            row = change.amend(row.name, changes.fields)
+        if changes.trials or changes.cost:
+            row = change.extend(row.name, trials=changes.trials, cost=changes.cost)
+    return row
+
+
+def _what_changed(row: StudyRow, origin: str, fixed: list[str]) -> list[str]:
+    return [f"{origin}: name: expected the study {row.name} as it was created, or a new name, found changes:", *fixed]
+
+
+def _what_may(row: StudyRow, words: list[str], anew: str) -> list[str]:
+    fine = f" Of this file that is: {'; '.join(words)}." if words else ""
+    how = ", ".join(AMENDABLE)
+    return [
+        "A study keeps what makes it what it is: task, space, seed, search, training, stages. Nothing was changed.",
+        f"What can change is how it is run ({how}), and its budget (search.trials, search.cost) can be raised.{fine}",
+        f"Run this file as a new study: {anew}. Go on with the old one as it is: halma resume {row.name}",
+    ]
+
+
+def _found(flattened: Mapping[str, Any], key: str, target: float | None) -> str:
+    return _shown(flattened, key) if target is None else found_value(target)
 
 
 def _shown(flattened: Mapping[str, Any], key: str) -> str:

@@ -89,7 +89,7 @@ class Arrivals:
                 row = change.finish(message.attempt, message.token, _result(message))
                 effects = [lambda: self._ended(drive, live, row)]
             case Stopped():
-                row = change.preempt(message.attempt, message.token, why_stopping(drive))
+                row = change.preempt(message.attempt, message.token, why_stopping(drive, live))
                 effects = [lambda: self.queued_again(drive, live, row, wait=0.0)]
             case Crashed():
                 effects = self._crashed(change, drive, live, drive.open[live.trial], message)
@@ -103,10 +103,7 @@ class Arrivals:
         drive.hindered = {**drive.hindered, live.attempt: reason}
         if not reason:
             del drive.hindered[live.attempt]
-        said = next(iter(drive.hindered.values()), "")
-        if said != drive.remarked:
-            change.remark(drive.row.id, drive.token, said)
-            drive.remarked = said
+        drive.remark(change)
 
     @staticmethod
     def _progressed(drive: Drive, live: Live, report: Reported) -> None:
@@ -117,9 +114,10 @@ class Arrivals:
         )
 
     def _crashed(self, change: Change, drive: Drive, live: Live, trial: TrialRow, message: Crashed) -> list[Effect]:
-        if message.retry and trial.retries < drive.spec.retries.limit:
+        failed = [each for each in self.held.store.attempts(trial.id) if each.state is AttemptState.FAILED]
+        if message.retry and len(failed) < drive.spec.retries.limit and trial.retries < drive.spec.retries.in_all:
             row = change.fail(live.attempt, live.token, message.message)
-            return [lambda: self.queued_again(drive, live, row, wait=_backoff(drive, row.retries))]
+            return [lambda: self.queued_again(drive, live, row, wait=_backoff(drive, len(failed) + 1))]
         result = Result(TrialState.FAILED, samples=trial.samples, seconds=trial.seconds, message=message.message)
         row = change.finish(live.attempt, live.token, result)
         return [lambda: self._ended(drive, live, row)]
@@ -128,13 +126,15 @@ class Arrivals:
         """Write that a worker is gone. Its trial is retried, and given up where the last attempts got nowhere.
 
         An attempt that came further than the one before it was stopped by the world, not by its trial: on hosts that
-        come and go, a long training may be interrupted any number of times.
+        come and go, a long training may be interrupted many times. But not for ever: a trial that kills its worker
+        after each checkpoint comes further, too.
         """
         row = change.lose(live.attempt, live.token, reason)
         fruitless = self._fruitless(row, live)
-        if fruitless <= drive.spec.retries.limit:
+        if fruitless <= drive.spec.retries.limit and row.retries <= drive.spec.retries.in_all:
             return [lambda: self.queued_again(drive, live, row, wait=_backoff(drive, fruitless))]
-        message = f"its worker was lost {row.retries} times; the last time: {reason}"
+        further = f", though it came further each time (retries.total: {drive.spec.retries.in_all})"
+        message = f"its worker was lost {row.retries} times{further if fruitless == 0 else ''}; the last time: {reason}"
         final = change.give_up(row.id, drive.token, message)
         return [lambda: self._ended(drive, live, final)]
 
@@ -165,9 +165,9 @@ def live_hindrance(found: tuple[Drive, Live]) -> str:
     return drive.hindered.get(live.attempt, "")
 
 
-def why_stopping(drive: Drive) -> str:
+def why_stopping(drive: Drive, live: Live) -> str:
     """The reason for an attempt of a study to be interrupted."""
-    return drive.leaving.reason if drive.leaving else "asked to stop"
+    return drive.leaving.reason if drive.leaving else live.why or "asked to stop"
 
 
 def _backoff(drive: Drive, retries: int) -> float:

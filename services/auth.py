@@ -15,12 +15,13 @@ import os
 import secrets
 import stat
 import time
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from services.errors import BadInput
+from services.throttle import Throttle
 
 COOKIE = "halma_session"
 SESSION_SECONDS = 30 * 24 * 3600
@@ -129,44 +130,12 @@ class Gatekeeper:
         return hmac.new(self._key, body.encode("utf-8", "surrogatepass"), hashlib.sha256).hexdigest()
 
 
-class LoginThrottle:
-    """How often an address may guess: `burst` failures at once, then one more every `refill_seconds`.
+class LoginThrottle(Throttle):
+    """How often an address may guess. A success doesn't count."""
 
-    A success doesn't count. The addresses are bounded, the longest unseen are forgotten first.
-
-    Args:
-        burst: failures that are allowed at once.
-        refill_seconds: how long until one more is allowed.
-        clock: monotonic seconds; tests pass their own.
-        most_addresses: how many addresses are remembered.
-    """
-
-    def __init__(
-        self,
-        *,
-        burst: int = 5,
-        refill_seconds: float = 12.0,
-        clock: Callable[[], float] = time.monotonic,
-        most_addresses: int = 4096,
-    ) -> None:
-        self._burst = burst
-        self._refill = refill_seconds
-        self._clock = clock
-        self._most = most_addresses
-        self._spent: OrderedDict[str, tuple[float, float]] = OrderedDict()
-
-    def wait(self, address: str) -> float:
-        """Seconds until this address may try (0 where it may now)."""
-        spent = self._level(address)
-        return max(0.0, (spent - (self._burst - 1)) * self._refill) if spent > self._burst - 1 else 0.0
+    def __init__(self, *, burst: int = 5, refill_seconds: float = 12.0, **more: Any) -> None:
+        super().__init__(burst=burst, refill_seconds=refill_seconds, **more)
 
     def failed(self, address: str) -> None:
         """Count a wrong token."""
-        self._spent[address] = (self._level(address) + 1.0, self._clock())
-        self._spent.move_to_end(address)
-        while len(self._spent) > self._most:
-            self._spent.popitem(last=False)
-
-    def _level(self, address: str) -> float:
-        spent, at = self._spent.get(address, (0.0, 0.0))
-        return max(0.0, spent - (self._clock() - at) / self._refill)
+        self.spend(address)

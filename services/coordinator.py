@@ -13,13 +13,13 @@ from dataclasses import replace
 from functools import partial
 
 from services.arrivals import Arrivals, why_stopping
-from services.dispatch.hosts import take_room
 from services.dispatch.port import Dispatcher, Message
 from services.drive import Drive, Leaving, Live
 from services.driver import DriverWatch, this_process
 from services.errors import DatabaseUnavailable, HalmaError, Refused
-from services.held import Effect, Held, Write
+from services.held import Effect, Held, Tell, Write
 from services.proposing import ProposalRequest, Proposed, Strategist, trial_seed
+from services.scheduling import Scheduler
 from services.spec import StudySpec
 from services.states import OPEN_TRIAL, StudyState, TrialState
 from services.store.port import AttemptRow, Change, NewArtifact, NewTrial, Store, TrialRow
@@ -52,6 +52,7 @@ class Coordinator:
         strategist: computes proposals.
         clock: monotonic seconds; a parameter so that tests can jump it.
         sleep: waits; likewise.
+        tell: is told what people should know at once.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class Coordinator:
         *,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
+        tell: Tell = lambda _: None,
     ) -> None:
         self._store = store
         self._dispatcher = dispatcher
@@ -70,8 +72,9 @@ class Coordinator:
         self._identity = this_process()
         self._leave: Leaving | None = None
         self._control_due = self._beat_due = self._adopt_due = 0.0
-        self._held = Held(store, sleep, impatient=lambda: self._leave is not None)
+        self._held = Held(store, sleep, impatient=lambda: self._leave is not None, tell=tell)
         self._arrivals = Arrivals(self._held, clock, dispatcher.drop_checkpoints)
+        self._scheduler = Scheduler(dispatcher)
         self._watch = DriverWatch(store, clock, sleep)
 
     # -- taking and leaving studies --------------------------------------------------------------------------------
@@ -268,9 +271,8 @@ class Coordinator:
         change.beat_drive(drive.row.id, drive.token)
         for live in drive.live.values():
             change.beat(live.attempt, live.token)
-        if drive.remarked and not drive.hindered:
-            change.remark(drive.row.id, drive.token, "")  # who waited has ended
-            drive.remarked = ""
+        # Who waited may have ended without a word, and whether there is a host nobody says at all.
+        drive.remark(change)
         return []
 
     def _lost(self, drive: Drive, live: Live, reason: str) -> None:
@@ -282,7 +284,8 @@ class Coordinator:
         self._dispatcher.kill(live.attempt)
 
         def write(change: Change) -> list[Effect]:
-            row = change.preempt(live.attempt, live.token, f"{why_stopping(drive)} (ended after {GRACE_SECONDS:g} s)")
+            why = f"{why_stopping(drive, live)} (ended after {GRACE_SECONDS:g} s)"
+            row = change.preempt(live.attempt, live.token, why)
             return [lambda: self._arrivals.queued_again(drive, live, row, wait=0.0)]
 
         self._guarded(drive, write)
@@ -309,9 +312,11 @@ class Coordinator:
             if row.drive_token != drive.token:
                 self._drop(drive, "another driver has taken it over")
                 continue
-            drive.row = row
-            if drive.leaving is None and row.wanted == "pause":
-                self._send_away(drive, Leaving(StudyState.PAUSED, "paused by request"))
+            drive.follow(row)
+            if drive.leaving is not None and drive.leaving.asked and row.wanted == "run":
+                drive.stay()
+            elif drive.leaving is None and row.wanted == "pause":
+                self._send_away(drive, Leaving(StudyState.PAUSED, "paused by request", asked=True))
             elif row.wanted == "cancel" and not (drive.leaving and drive.leaving.cancels):
                 self._send_away(drive, Leaving(StudyState.CANCELLED, "cancelled by request", cancels=True))
 
@@ -337,33 +342,24 @@ class Coordinator:
     # -- starting trials -------------------------------------------------------------------------------------------
 
     def _fill(self) -> None:
-        """Start what may start, and ask for what could."""
-        now = self._clock()
-        for drive, slots in self._shares(now):
+        """Start what may start, ask for what could, and make room for what is more urgent."""
+        now, drives = self._clock(), list(self._held.drives.values())
+        self._scheduler.charge(drives, now)
+        shares, left = self._scheduler.hand_out(drives, now)
+        given = {drive.row.id: slots for drive, slots in shares}
+        for _, live, why in self._scheduler.displaced(drives, given, left, now):
+            live.stopping, live.why = True, why
+            self._dispatcher.stop(live.attempt)
+        for drive, slots in shares:
             starting = drive.startable(now)[:slots]
             if starting:
                 self._start(drive, starting)
             if slots > len(starting):
                 drive.asked = drive.request(slots - len(starting))
                 self._strategist.ask(drive.asked)
-
-    def _shares(self, now: float) -> list[tuple[Drive, int]]:
-        """Hand out free slots one by one: to the highest priority, then to who holds the fewest cores of all."""
-        drives = [drive for drive in self._held.drives.values() if drive.leaving is None]
-        rooms = {pool: dict(self._dispatcher.rooms(pool)) for pool in {drive.row.pool for drive in drives}}
         for drive in drives:
-            for _ in range(drive.asked.count if drive.asked else 0):
-                take_room(rooms[drive.row.pool], drive.spec.resources.cpus)
-        given = dict.fromkeys((drive.row.id for drive in drives), 0)
-        hungry = [drive for drive in drives if drive.appetite(now) > 0]
-        while hungry:
-            chosen = min(hungry, key=lambda drive: drive.claim(given[drive.row.id]))
-            if take_room(rooms[chosen.row.pool], chosen.spec.resources.cpus):
-                given[chosen.row.id] += 1
-                if given[chosen.row.id] < chosen.appetite(now):
-                    continue
-            hungry.remove(chosen)
-        return [(drive, given[drive.row.id]) for drive in drives if given[drive.row.id]]
+            drive.stranded = self._scheduler.stranded(drive, now)
+        self._scheduler.hold(drives)
 
     def _start(self, drive: Drive, trials: Sequence[TrialRow]) -> None:
         parents = {trial.number: self._parent_artifacts(drive, trial) for trial in trials}
@@ -386,7 +382,15 @@ class Coordinator:
 
     def _dispatch(self, drive: Drive, trial: TrialRow, attempt: AttemptRow, parents: tuple[NewArtifact, ...]) -> None:
         now = self._clock()
-        live = Live(attempt=attempt.id, token=attempt.token, trial=trial.number, seen=now, began=now)
+        live = Live(
+            attempt=attempt.id,
+            token=attempt.token,
+            trial=trial.number,
+            pool=drive.row.pool,
+            cpus=drive.spec.resources.cpus,
+            seen=now,
+            began=now,
+        )
         drive.live[attempt.id] = live
         # Known without asking: once a start is committed, nothing may keep the worker from hearing of it.
         drive.open[trial.number] = replace(trial, state=TrialState.RUNNING, attempts=attempt.number)
@@ -407,6 +411,15 @@ class Coordinator:
                 self._let_go(drive, drive.leaving)
 
     def _let_go(self, drive: Drive, leaving: Leaving) -> None:
+        # A last look: whoever extended the study, or took a pause back, was told that its driver goes on.
+        row = self._store.wanted([drive.row.id]).get(drive.row.id)
+        if row is not None and row.drive_token == drive.token:
+            drive.follow(row)
+            thought_better = leaving.asked and row.wanted == "run"
+            if thought_better or (leaving.state is StudyState.COMPLETE and not drive.finished()):
+                drive.stay()
+                return
+
         def write(change: Change) -> list[Effect]:
             if leaving.cancels:
                 for trial in drive.open.values():

@@ -13,7 +13,7 @@ from services.dispatch.port import Assignment
 from services.proposing import ProposalRequest, candidate_json, observation_json, proposal_key
 from services.spec import StudySpec
 from services.states import StudyState, TrialState
-from services.store.port import NewArtifact, StudyRow, TrialRow
+from services.store.port import Change, NewArtifact, StudyRow, TrialRow
 from services.translate import job_of
 
 
@@ -25,6 +25,8 @@ class Live:
         attempt: row id.
         token: fencing token.
         trial: number of its trial.
+        pool: worker pool in which it runs.
+        cpus: cores that it holds.
         seen: when a message of it last arrived, on the driver's monotonic clock.
         began: when it was dispatched, on the same clock.
         taken_up: whether a worker process has said that it runs it; before that only its start-up is awaited.
@@ -34,10 +36,14 @@ class Live:
     attempt: int
     token: int
     trial: int
+    pool: str
+    cpus: float
     seen: float
     began: float
     taken_up: bool = False
     stopping: bool = False
+    why: str = ""
+    """Why it has been asked to stop, where its study goes on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +54,8 @@ class Leaving:
     reason: str
     cancels: bool = False
     """Whether open trials are cancelled rather than kept for a later drive."""
+    asked: bool = False
+    """Whether people asked for it, who may think better of it before it is done."""
 
 
 @dataclass(slots=True)
@@ -81,11 +89,19 @@ class Drive:
     """Trial numbers that back off, with the monotonic time from which they may start again."""
     hindered: dict[int, str] = field(default_factory=dict)
     """Attempts that wait for storage, and why."""
+    stranded: str = ""
+    """Why no host can run its trials."""
     remarked: str = ""
     """Why the study waits, as its row says."""
     leaving: Leaving | None = None
     leave_by: float = math.inf
     """Monotonic time at which attempts that have not stopped yet are ended."""
+
+    def follow(self, row: StudyRow) -> None:
+        """Take note of the row as it stands: what people want, budgets, and how the study is to be run."""
+        if row.spec != self.row.spec:
+            self.spec = StudySpec.from_json(row.spec)
+        self.row = row
 
     @property
     def key(self) -> str:
@@ -95,7 +111,7 @@ class Drive:
     @property
     def cores(self) -> float:
         """Cores its live attempts hold."""
-        return len(self.live) * self.spec.resources.cpus
+        return sum(live.cpus for live in self.live.values())
 
     def remaining(self) -> float:
         """How many more trials the budget allows now; infinite under a cost budget that is not spent."""
@@ -127,10 +143,6 @@ class Drive:
         more = 0 if self.exhausted_at == len(self.history) else self.remaining()
         return min(room, len(self.startable(now)) + more)
 
-    def claim(self, given: int) -> tuple[int, float, int]:
-        """Its place in the queue for a slot, when it has been given some: the smallest comes first."""
-        return (-self.row.priority, self.cores + self.reserved + given * self.spec.resources.cpus, self.row.id)
-
     def request(self, count: int) -> ProposalRequest:
         """What a proposal of `count` candidates gets to see now."""
         return ProposalRequest(
@@ -153,11 +165,26 @@ class Drive:
             study_key=self.key,
             trial=trial.number,
             job=job_of(self.spec, trial).to_json(),
-            pool=self.row.pool,
-            cpus=self.spec.resources.cpus,
+            pool=live.pool,
+            cpus=live.cpus,
             parent_artifacts=parent_artifacts,
             iteration=trial.iteration,
         )
+
+    def waits_for(self) -> str:
+        """Why it waits, for people; empty where it doesn't."""
+        return next(iter(self.hindered.values()), self.stranded)
+
+    def remark(self, change: Change) -> None:
+        """Let the study's row say why it waits, where it says something else. Raises `Refused`."""
+        said = self.waits_for()
+        if said != self.remarked:
+            change.remark(self.row.id, self.token, said)
+            self.remarked = said
+
+    def stay(self) -> None:
+        """Not leave after all. What was asked to stop comes back as it stops, and is started again."""
+        self.leaving, self.leave_by = None, math.inf
 
     def end_of(self, trial: TrialRow) -> None:
         """A trial got its place in the history."""
@@ -171,7 +198,14 @@ class Drive:
         Failures before it don't count: whoever resumes a failed study has mended something.
         """
         limit = self.spec.stop_after_failures
-        last = self.history[self.taken_at :][-limit:]
+        told = self.history[self.taken_at :]
+        # Some settings diverge in any search; where all do, it is the task that gives no numbers.
+        if len(told) >= 4 * limit and all(trial.state is TrialState.DIVERGED for trial in self.history):
+            return (
+                f"all of the first {len(self.history)} trials diverged; the newest: {told[-1].message}; "
+                f"see what is wrong with the task: halma task check {self.spec.task.name}"
+            )
+        last = told[-limit:]
         if len(last) < limit or any(trial.state is not TrialState.FAILED for trial in last):
             return None
         return f"the last {limit} trials all failed (stop_after_failures: {limit}); the newest: {last[-1].message}"

@@ -56,6 +56,15 @@ def lives(driver: Driver) -> bool | None:
     return not (driver.started and started) or driver.started == started
 
 
+def driving_words(row: StudyRow) -> str:
+    """Who drives a study, where, since when: `process 41 on here, since 2026-11-25 17:40:11 UTC`."""
+    driver = row.driver
+    if driver is None:
+        return "nobody"
+    since = "" if row.driven_since is None else f", since {row.driven_since.strftime('%Y-%m-%d %H:%M:%S')} UTC"
+    return f"process {driver.pid} on {driver.host}{since}"
+
+
 @dataclass(slots=True)
 class DriverWatch:
     """Tells whether drivers are gone: seen at once on this host, by their still beat on another.

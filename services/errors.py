@@ -59,6 +59,10 @@ class Refused(HalmaError):
     """A transition was refused by its guard (state or fencing token). Nothing was written."""
 
 
+class NotInstalled(HalmaError):
+    """A package is missing that not everybody needs; the message says how to get it."""
+
+
 class InterruptedByUser(HalmaError):
     """Ctrl-C or SIGTERM: the study is resumable."""
 

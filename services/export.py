@@ -1,22 +1,26 @@
-"""A study's trials for other tools: CSV, JSON, Parquet, and an Optuna database."""
+"""A study's trials for other tools: CSV, JSON, Parquet, an Optuna database, TensorBoard's event files."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
-from collections.abc import Mapping, Sequence
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from enum import StrEnum
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from services.errors import BadInput
-from services.listings import study_json, trial_json
+from services.curves import metric_of, metrics_of
+from services.errors import BadInput, NotInstalled
+from services.listings import artifacts_by_trial, study_json, trial_json
 from services.report import behaviour_of, spec_of
 from services.spec import ResolvedSpec
-from services.states import OBSERVED_TRIAL
 from services.store.port import Store, StudyRow, TrialRow
 from services.translate import search_space
+from services.version import halma_version
 
 
 class Format(StrEnum):
@@ -26,6 +30,7 @@ class Format(StrEnum):
     JSON = "json"
     PARQUET = "parquet"
     OPTUNA = "optuna"
+    TENSORBOARD = "tensorboard"
 
 
 SUFFIXES: Mapping[Format, str] = {
@@ -33,6 +38,7 @@ SUFFIXES: Mapping[Format, str] = {
     Format.JSON: ".json",
     Format.PARQUET: ".parquet",
     Format.OPTUNA: ".optuna.db",
+    Format.TENSORBOARD: ".tensorboard",
 }
 
 
@@ -71,34 +77,34 @@ def write(store: Store, row: StudyRow, form: Format, path: Path) -> int:
         store: the trial database.
         row: the study.
         form: what to write.
-        path: where to; its folder must exist.
+        path: where to; its folder must exist. TensorBoard's is a folder, an Optuna database a new file.
 
     Returns:
         How many trials were written.
 
     Raises:
-        BadInput: nothing can be written there.
+        BadInput: nothing can be written there; then nothing is left there.
+        NotInstalled: the format needs a package that isn't.
     """
     if not path.parent.is_dir():
         raise BadInput(f"--output: expected a file in an existing folder, found no folder {path.parent}")
+    if form is Format.TENSORBOARD:
+        return _write_tensorboard(store, row, path)
     if path.is_dir():
         raise BadInput(f"--output: expected a file, found the folder {path}")
     if form is Format.OPTUNA:
         return _write_optuna(store, row, path)
     trials = store.trials(row.id)
-    try:
+    with _whole(path) as fresh:
         if form is Format.CSV:
-            path.write_text(csv_text(columns(row, trials)), encoding="utf-8")
+            fresh.write_text(csv_text(columns(row, trials)), encoding="utf-8")
         elif form is Format.JSON:
-            listed = [trial_json(trial, store.artifacts(trial.id)) for trial in trials]
+            left = artifacts_by_trial(store.study_artifacts(row.id))
+            listed = [trial_json(trial, left.get(trial.id, ())) for trial in trials]
             whole = {"study": study_json(row, spec=True), "trials": listed}
-            path.write_text(json.dumps(whole, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+            fresh.write_text(json.dumps(whole, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
         else:
-            _write_parquet(columns(row, trials), path)
-    except OSError as error:
-        raise BadInput(
-            f"--output: expected a file that can be written, found {path}: {error.strerror or error}"
-        ) from None
+            _write_parquet(columns(row, trials), fresh)
     return len(trials)
 
 
@@ -135,30 +141,98 @@ def _write_optuna(store: Store, row: StudyRow, path: Path) -> int:
         raise BadInput(f"export: expected a study with a space, found that {row.name} has none")
     if path.exists():
         raise BadInput(f"--output: expected a new file for the Optuna database, found {path}, which exists")
+    every = store.trials(row.id)
+    curves = {trial.number: store.metrics(trial.id) if trial.iteration else [] for trial in every}
+    metric = metric_of(metrics_of(each for rows in curves.values() for each in rows))
     trials = [
         Trial(
             params=trial.params,
-            status=trial.state.value,  # type: ignore[arg-type]  # the observed states are the statuses
+            status=trial.state.value,
             value=trial.value,
             started=trial.started_at,
             finished=trial.finished_at,
-            attributes={
-                "number": trial.number,
-                "features": None if trial.features is None else list(trial.features),
-                "z": trial.z,
-                "samples": trial.samples,
-                "seconds": trial.seconds,
-                "warm_start": trial.warm_start,
-                "message": trial.message,
-            },
+            attributes=_attributes(trial),
+            intermediate={each.iteration: each.values[metric] for each in curves[trial.number] if metric in each.values}
+            if metric is not None
+            else {},
         )
-        for trial in store.history(row.id)
-        if trial.state in OBSERVED_TRIAL
+        for trial in every
     ]
+    about = {
+        "task": row.spec.get("task"), "strategy": row.spec.get("search"), "seed": str(row.seed),
+        "intermediate_values": metric, "exported_by": f"halma {halma_version()}",
+    }  # fmt: skip
     try:
-        return export(row.name, search_space(spec), trials, f"sqlite:///{path}")
+        with _whole(path) as fresh:
+            number = export(row.name, search_space(spec), trials, f"sqlite:///{fresh}", about)
     except ExportRefused as error:
         raise BadInput(f"--output: {error}") from None
+    return number
+
+
+def _attributes(trial: TrialRow) -> dict[str, Any]:
+    """What Optuna has no word for, where there is any: each costs it a millisecond.
+
+    A seed is text: it has more digits than a page's numbers hold.
+    """
+    known = {
+        "number": trial.number,
+        "stage": trial.stage,
+        "features": None if trial.features is None else list(trial.features),
+        "z": trial.z,
+        "samples": trial.samples,
+        "seconds": trial.seconds,
+        "attempts": trial.attempts,
+        "warm_start": trial.warm_start,
+        "seed": str(trial.seed),
+        "message": trial.message,
+        **{f"detail_{name}": value for name, value in trial.details.items() if _plain(value)},
+    }
+    return {name: value for name, value in known.items() if value is not None and value != ""}
+
+
+def _write_tensorboard(store: Store, row: StudyRow, path: Path) -> int:
+    if find_spec("tensorboardX") is None:
+        raise NotInstalled(
+            "export: expected tensorboardX, found that it isn't installed; "
+            "install it with `pip install 'halma[tensorboard]'`"
+        )
+    from services.tensorboard import write_events  # noqa: PLC0415 - an extra
+
+    # TensorBoard would show old runs among the new ones.
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise BadInput(f"--output: expected a new or empty folder for event files, found {path}, which is neither")
+    with _whole(path) as fresh:
+        fresh.mkdir()
+        return write_events(store.trials(row.id), lambda trial: store.metrics(trial.id), behaviour_of(row), fresh)
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[Path]:
+    """A place beside `path` to write to, moved there at the end: whoever finds the file finds all of it, or none.
+
+    Raises:
+        BadInput: it can't be written.
+    """
+    fresh = path.with_name(f".{path.name}.new")
+    try:
+        _remove(fresh)
+        yield fresh
+        fresh.replace(path)
+    except OSError as error:
+        raise BadInput(
+            f"--output: expected a place that can be written, found {path}: {error.strerror or error}"
+        ) from None
+    finally:
+        _remove(fresh)
+
+
+def _remove(path: Path) -> None:
+    """Remove what an interrupted export has left."""
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _named(names: Sequence[str], features: Sequence[float] | None) -> list[tuple[str, float | None]]:

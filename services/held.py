@@ -14,6 +14,9 @@ from services.store.port import Change, Store
 Effect = Callable[[], None]
 """What happens in memory once a commit is safe."""
 
+Tell = Callable[[str], None]
+"""Is told a line that people should read now."""
+
 Write = Callable[[Change], list[Effect]]
 
 
@@ -25,11 +28,13 @@ class Held:
         store: the trial database.
         sleep: waits some seconds.
         impatient: whether a database that is away shall not be waited for.
+        tell: is told when a wait for the database begins, and when it is over.
     """
 
     store: Store
     sleep: Callable[[float], None]
     impatient: Callable[[], bool]
+    tell: Tell
     drives: dict[int, Drive] = field(default_factory=dict)
     study_of: dict[int, int] = field(default_factory=dict)
     """Study of each attempt that this driver has started, by attempt id."""
@@ -91,6 +96,7 @@ class Held:
         """
         pause, reason = 0.1, str(trouble)
         self.trouble = reason
+        self.tell(waiting_words(reason))
         while True:
             if self.impatient():
                 raise trouble
@@ -106,6 +112,7 @@ class Held:
                 trouble = error
             else:
                 self.trouble = ""
+                self.tell(waiting_words(""))
                 return
 
     def _read_anew(self, drive: Drive) -> None:
@@ -114,7 +121,8 @@ class Held:
         if row.id != drive.row.id or row.drive_token != drive.token:
             return  # the next look at what people want finds out, and drops it
         # What it was said to wait for may have been undone with the commit that said it.
-        drive.row, drive.asked, drive.remarked = row, None, row.reason
+        drive.follow(row)
+        drive.asked, drive.remarked = None, row.reason
         drive.history = self.store.history(row.id)
         drive.open = {trial.number: trial for trial in self.store.trials(row.id, states=OPEN_TRIAL)}
         drive.next_number = sum(row.counts.values())
@@ -129,3 +137,10 @@ class Held:
                     if newest.id not in held:
                         # Its start was committed, but the worker was never told.
                         drive.open[trial.number] = change.preempt(newest.id, newest.token, "never dispatched")
+
+
+def waiting_words(trouble: str) -> str:
+    """What people are told when nothing can be recorded, and (no trouble) when it can again."""
+    if not trouble:
+        return "The database can be written again: going on."
+    return f"Nothing can be recorded, so nothing new is started until it can; running trainings go on. {trouble}"

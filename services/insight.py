@@ -18,7 +18,7 @@ from search import Angle, Candidate, Categorical, Observation, SearchError
 from search.insight.importance import Importances, importances, narrowed
 from search.insight.slices import Ask, Axis, NothingYet, Slice, foot_of, slice_of
 from search.insight.surrogates import MODELS_BEHAVIOUR, MODELS_VALUE, Subject, Surrogates
-from search.record import read_record
+from search.record import SEARCH, read_record
 from search.space import Parameter
 from services.course import answers
 from services.errors import BadInput
@@ -71,7 +71,8 @@ def look(row: StudyRow, history: Sequence[TrialRow]) -> Looked:
     spec = spec_of(row)
     if not isinstance(spec, ResolvedSpec):
         raise BadInput(f"study {row.name!r}: expected one with a space, found one that was never checked by its task")
-    trials = [trial for trial in history if trial.state in OBSERVED_TRIAL]
+    # What later stages train from the same states on is theirs: it would be noise to the search.
+    trials = [trial for trial in history if trial.state in OBSERVED_TRIAL and trial.stage == SEARCH]
     trials = trials[: looked_at(len(trials))]
     strategy = make_strategy_of(spec)
     record = read_record(strategy.space, strategy.features, _observations(trials), [])

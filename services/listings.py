@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import datetime
 from typing import Any
 
@@ -59,6 +59,14 @@ def trial_json(row: TrialRow, artifacts: Sequence[ArtifactRow]) -> dict[str, Any
         "started_at": moment(row.started_at),
         "finished_at": moment(row.finished_at),
     }
+
+
+def artifacts_by_trial(left: Iterable[ArtifactRow]) -> dict[int, list[ArtifactRow]]:
+    """What the trials of a study left, by id of the trial."""
+    found: dict[int, list[ArtifactRow]] = {}
+    for artifact in left:
+        found.setdefault(artifact.trial_id, []).append(artifact)
+    return found
 
 
 def event_json(row: EventRow) -> dict[str, Any]:

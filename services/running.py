@@ -13,7 +13,9 @@ from types import FrameType
 from services.artifacts import open_artifacts
 from services.coordinator import Coordinator
 from services.dispatch.inline import InlineDispatcher
+from services.driver import driving_words, lives
 from services.errors import HalmaError, InterruptedByUser
+from services.held import Tell
 from services.proposing import InlineStrategist
 from services.ray_environment import prepare
 from services.states import StudyState
@@ -21,6 +23,11 @@ from services.store.open import open_store
 from services.store.port import StudyRow
 
 INTERRUPTED = "interrupted"
+
+
+class TakenOver(HalmaError):
+    """Another process has taken the study over."""
+
 
 Leave = Callable[[], None]
 
@@ -57,6 +64,7 @@ def drive(
     pools: Mapping[str, int] | None = None,
     take_over: bool = False,
     ray_address: str | None = None,
+    tell: Tell = lambda _: None,
 ) -> StudyRow:
     """Drive a study until it is finished, paused or cancelled.
 
@@ -69,6 +77,7 @@ def drive(
             of the cluster at `ray_address`.
         take_over: fence off a living driver.
         ray_address: join this Ray cluster instead of starting a local one.
+        tell: is told what people should know meanwhile.
 
     Returns:
         The study as it was released.
@@ -76,17 +85,25 @@ def drive(
     Raises:
         InterruptedByUser: Ctrl-C or SIGTERM; the study is paused and resumable.
         StudyDriven: another driver holds it.
+        TakenOver: another driver took it over meanwhile.
     """
     here = {"default": os.cpu_count() or 1}
     if inline:
-        _drive_inline(database, artifact_root, name, dict(pools or here), take_over=take_over)
+        _drive_inline(database, artifact_root, name, dict(pools or here), take_over=take_over, tell=tell)
     else:
         sizes = pools or (here if ray_address is None else None)
         prepare(ray_address)
         from services.ray_running import drive_with_ray  # noqa: PLC0415 - Ray takes a second to import
 
         drive_with_ray(
-            database, artifact_root, str(Path.cwd()), name, sizes, take_over=take_over, ray_address=ray_address
+            database,
+            artifact_root,
+            str(Path.cwd()),
+            name,
+            sizes,
+            take_over=take_over,
+            ray_address=ray_address,
+            tell=tell,
         )
     store = open_store(database)
     try:
@@ -95,15 +112,22 @@ def drive(
         store.close()
     if row.state is StudyState.PAUSED and row.reason == INTERRUPTED:
         raise InterruptedByUser(f"Interrupted. Go on with: halma resume {name}")
+    if row.driver is not None and lives(row.driver) is not False:
+        raise TakenOver(
+            f"Study {name} was taken over by {driving_words(row)}; this process has stopped driving it, and nothing "
+            f"is lost. Follow it: halma watch {name}"
+        )
     if row.driver is not None:
         raise HalmaError(f"Study {name}: its driver ended unexpectedly. Go on with: halma resume {name}")
     return row
 
 
-def _drive_inline(database: str, artifact_root: str, name: str, sizes: dict[str, int], *, take_over: bool) -> None:
+def _drive_inline(
+    database: str, artifact_root: str, name: str, sizes: dict[str, int], *, take_over: bool, tell: Tell
+) -> None:
     store = open_store(database)
     artifacts = open_artifacts(artifact_root)
-    coordinator = Coordinator(store, InlineDispatcher(artifacts, sizes), InlineStrategist())
+    coordinator = Coordinator(store, InlineDispatcher(artifacts, sizes), InlineStrategist(), tell=tell)
     try:
         with leaving_on_signals(lambda: coordinator.leave(StudyState.PAUSED, INTERRUPTED)):
             coordinator.take(name, take_over=take_over)

@@ -227,8 +227,23 @@ class Resources(Section):
 class Retries(Section):
     """What happens to a trial whose worker vanished or whose task raised an error."""
 
-    limit: Whole = Field(default=2, ge=0, le=100, description="further attempts before the trial counts as failed")
-    backoff_seconds: Finite = Field(default=1.0, ge=0, description="wait before the first retry; doubles each time")
+    limit: Whole = Field(
+        default=2,
+        ge=0,
+        le=100,
+        description="further attempts after errors of the task, after losses that got nowhere",
+    )
+    total: Whole = Field(
+        default=30, ge=0, le=10_000, description="further attempts in all (at least the limit), however far each came"
+    )
+    backoff_seconds: Finite = Field(
+        default=1.0, ge=0, description="wait before the first retry; doubles each time, up to a minute"
+    )
+
+    @property
+    def in_all(self) -> int:
+        """Further attempts in all."""
+        return max(self.limit, self.total)
 
 
 def _positive_budget(training: Mapping[str, Any]) -> None:
@@ -260,6 +275,12 @@ class StudySpec(Section):
     profile: StrictStr | None = Field(default=None, description="which of the file's profiles runs (`--profile`)")
     seed: Whole = Field(default=0, ge=0, le=LARGEST_SEED, description="all randomness of the study flows from it")
     priority: Whole = Field(default=0, ge=-1000, le=1000, description="studies of higher priority get slots first")
+    share: Finite = Field(
+        default=1.0,
+        gt=0,
+        le=1000,
+        description="of the core-seconds of its pool and priority: 2 gets twice 1",
+    )
     retries: Retries = Retries()
     stop_after_failures: Whole = Field(
         default=5, gt=0, description="stop the study when so many trials in a row failed"

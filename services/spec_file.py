@@ -98,7 +98,7 @@ def draft(text: str, *, name: str, overrides: Sequence[str] = ()) -> Draft:
 def _with_profile(document: Located, name: str, profile: str | None, overrides: Sequence[str]) -> Draft:
     """The study that a file describes under one of its profiles."""
     profiled = choose(document, profile)
-    data, set_by = _overridden(profiled.value, overrides)
+    data, set_by = overridden(profiled.value, overrides)
     source = Source(name, profiled.lines, set_by, profiled.moved)
     try:
         return Draft(data, source, StudySpec.model_validate(data), ())
@@ -130,8 +130,8 @@ def _missing_file(path: Path) -> str:
     return f"{message}; did you mean {folder / close[0]}?" if close else message
 
 
-def _overridden(study: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], dict[Place, str]]:
-    """The study with the overrides applied, and which override set what."""
+def overridden(study: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], dict[Place, str]]:
+    """The study with the overrides applied, and which override set what. Raises `BadStudy`."""
     data: dict[str, Any] = json.loads(json.dumps(study))
     if overrides and isinstance(data.get("task"), str):
         data["task"] = {"name": data["task"]}

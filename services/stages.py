@@ -7,8 +7,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from search.record import SEARCH
+from services.budget import has_stages, most_of
 from services.report import distinct_trials, spec_of
-from services.spec import LaterStage, NoveltyStage, PolishStage, StudySpec
+from services.spec import StudySpec
 from services.states import OPEN_TRIAL, StudyState, TrialState
 from services.store.port import StudyRow, TrialRow
 from services.translate import stages_of
@@ -49,27 +50,9 @@ class StageProgress:
         return {**asdict(self), "after": list(self.after)}
 
 
-def has_stages(row: StudyRow) -> bool:
-    """Whether something follows a study's search."""
-    return bool(row.spec.get("stages"))
-
-
 def stage_names(row: StudyRow) -> list[str]:
     """Names of the stages that follow a study's search, in order."""
     return [stage.name for stage in stages_of(spec_of(row))] if has_stages(row) else []
-
-
-def most_trials(row: StudyRow) -> int | None:
-    """How many trials a study may have at most, those of its later stages among them; None where nothing limits it."""
-    if row.target_trials is None or not has_stages(row):
-        return row.target_trials
-    return row.target_trials + sum(_most(stage) for stage in spec_of(row).stages.values())
-
-
-def _most(stage: LaterStage) -> int:
-    if isinstance(stage, NoveltyStage):
-        return stage.strategies * stage.trainings
-    return stage.strategies * (stage.rounds if isinstance(stage, PolishStage) else 1)
 
 
 def stages_of_study(row: StudyRow, trials: Sequence[TrialRow]) -> list[StageProgress]:
@@ -106,7 +89,7 @@ def _progress(row: StudyRow, spec: StudySpec, name: str, own: dict[str, list[Tri
         state=_state(row, spec, name, own),
         done=sum(trial.position is not None for trial in trials),
         running=sum(trial.state is TrialState.RUNNING for trial in trials),
-        most=(row.target_trials or 0) if stage is None else _most(stage),
+        most=(row.target_trials or 0) if stage is None else most_of(stage),
         new=new,
         best=max(values, default=None),
         samples=sum(trial.samples for trial in trials),

@@ -9,7 +9,7 @@ from itertools import islice
 from services.states import TrialState
 from services.store.port import TrialRow
 
-UNIT_OF_VALUE: Mapping[str, str] = {"bar": "m", "height": "m", "distance": "m"}
+UNIT_OF_VALUE: Mapping[str, str] = {"bar": "m", "width": "m", "height": "m", "distance": "m"}
 """Units of what a task's value may be, by the name of the result that equals it."""
 
 TELLING = 20

@@ -14,7 +14,7 @@ from services.store.port import Driver, NewTrial, Result
 CIRCLE = {"kind": "circle", "names": ["facing"], "distinct": 0.5, "low": [], "high": [], "unit": "rad"}
 
 
-def spec(name, behaviour=CIRCLE, trials=24):
+def spec(name, behaviour=CIRCLE, trials=24, stages=None):
     """A frozen spec as the service keeps it."""
     space = {"omega_x": {"type": "float", "low": -3.0, "high": 3.0, "log": False}, "alpha": {"type": "angle"}}
     return {
@@ -22,6 +22,7 @@ def spec(name, behaviour=CIRCLE, trials=24):
         "task": {"name": "high_jump", "settings": {}},
         "space": space,
         "search": {"strategy": "bds", "settings": {}, "trials": trials, "cost": None},
+        "stages": stages or {},
         "training": {"budget": 50000},
         "resources": {"parallel": 2, "cpus": 1.0, "pool": "default"},
         "seed": 7,
@@ -65,17 +66,21 @@ class Record:
     name: str
     behaviour: dict | None = field(default_factory=lambda: CIRCLE)
     target: int = 24
+    stages: dict | None = None
 
     def begin(self):
         with self.store.transaction() as change:
             row = change.create_study(
-                self.name, spec(self.name, self.behaviour, self.target), seed=7, target_trials=self.target
+                self.name,
+                spec(self.name, self.behaviour, self.target, self.stages),
+                seed=7,
+                target_trials=self.target,
             )
             self.id = row.id
             self.token = change.drive(self.name, Driver("driver-1", "runner", 4711, "1"))
         return self
 
-    def propose(self, count=1, z=1.0, **info):
+    def propose(self, count=1, z=1.0, stage="search", **info):
         given = info or {"mode": "explore", "deviation": 0.41}
         with self.store.transaction() as change:
             first = len(self.store.trials(self.id))
@@ -87,6 +92,7 @@ class Record:
                     },
                     seed=2**63 + first + i,
                     z=z,
+                    stage=stage,
                     info=given,
                 )
                 for i in range(count)

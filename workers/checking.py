@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from workers.contracts import JSON, BadJob, Cost, Interrupted, Job, Outcome, ParameterSpec, Scalar, Task, TaskInfo
+from workers.learning.problem import Diverged
 from workers.local_context import LocalContext
 from workers.tasks.function import FunctionTask
 from workers.user_code import user_traceback
@@ -112,6 +113,8 @@ def _look(check: str, run: Check) -> Finding:
         return Finding(check, *wrong.finding)
     except BadJob as error:
         return Finding(check, "bad", str(error), "mend what the message names")
+    except Diverged as error:
+        return Finding(check, "bad", f"a training diverged: {error}", "rewards and observations must be finite")
     except Exception as error:  # noqa: BLE001 - the user's code may raise anything, and it is told to the user
         return Finding(check, "bad", user_traceback(error), "mend the error in your code")
 

@@ -17,7 +17,10 @@ GYMNASIUM = "gymnasium:"
 
 BUILT_IN: Mapping[str, str] = {
     "high_jump": "workers.tasks.high_jump:HighJump",
+    "imitation": "workers.tasks.imitation.task:Imitation",
+    "obstacle_jump": "workers.tasks.high_jump:ObstacleJump",
     "point_jump": "workers.tasks.point_jump:PointJump",
+    "walker": "workers.tasks.walker.task:Walker",
 }
 """By name; imported when they are asked for, since physics and torch take seconds to import."""
 

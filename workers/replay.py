@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from workers.contracts import JSON, BadJob
 from workers.physics.athlete import COORDINATES, JOINTS, Joint
-from workers.physics.world import FRAME, GRAVITY, WALL_HALF_THICKNESS, Contacts, World
+from workers.physics.world import FRAME, GRAVITY, Contacts, World
 
 FORMAT = "halma-replay"
 VERSION = 1
@@ -138,10 +138,12 @@ class Recorder:
     Args:
         foot: name of the body that may touch the ground.
         task: what the task wants to keep in the header.
+        frame_seconds: between two frames.
     """
 
     foot: str
     task: Mapping[str, JSON] = field(default_factory=dict)
+    frame_seconds: float = FRAME
     _rows: dict[str, list[NDArray[np.float32]]] = field(default_factory=dict, init=False)
     _header: dict[str, JSON] = field(default_factory=dict, init=False)
 
@@ -151,14 +153,14 @@ class Recorder:
         self._header = {
             "format": FORMAT,
             "version": VERSION,
-            "frame_seconds": FRAME,
+            "frame_seconds": self.frame_seconds,
             "bodies": list(world.athlete.names),
             "joints": [joint.name for joint in JOINTS],
             "shapes": world.body_shapes(),
             "masses": world.athlete.mass.tolist(),
             "bar": world.bar,
             "mat_height": world.mat_height,
-            "wall_half_thickness": WALL_HALF_THICKNESS,
+            "wall_half_thickness": world.wall_half_thickness,
             "foot": self.foot,
         }
         if world.gravity != GRAVITY:  # replays on Earth stay what they were, bit for bit

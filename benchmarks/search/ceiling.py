@@ -17,7 +17,8 @@ import json
 
 import numpy as np
 
-from benchmarks.search.maps import REPORT, StrategyMap, World
+from benchmarks.search.map_sets import REPORT
+from benchmarks.search.maps import StrategyMap, World
 
 POINTS = 1024
 """Points that may be asked."""

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.search.maps import FLIGHTS, INTERIOR, MAPS, REPORT, TUNE
+from benchmarks.search.map_sets import FLIGHTS, INTERIOR, MAPS, REPORT, TUNE, VALIDATE, WIDE
 from search import Observation, make_strategy
 from search.registry import strategy_class
 
@@ -45,6 +45,10 @@ ABLATIONS: dict[str, tuple[str, dict[str, Any], int]] = {
     "bds - Sobol start": ("bds", {"start": 0}, 1),
 }
 """The default with one repair taken away."""
+
+
+SETS = {"tune": TUNE, "validate": VALIDATE, "report": REPORT, "flights": FLIGHTS, "wide": WIDE}
+"""What `--set` means."""
 
 
 def run_one(
@@ -161,7 +165,7 @@ def per_problem(results: list[dict[str, Any]], problems: list[str], n: int) -> N
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--set", choices=("tune", "report", "flights"), default="report")
+    parser.add_argument("--set", choices=tuple(SETS), default="report")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--evaluations", type=int, default=30)
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
@@ -173,7 +177,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="3 seeds, 10 evaluations, 4 maps")
     parser.add_argument("--out", type=Path, default=RESULTS / "diversity.jsonl")
     args = parser.parse_args()
-    problems = [m.name for m in {"tune": TUNE, "report": REPORT, "flights": FLIGHTS}[args.set]]
+    problems = [m.name for m in SETS[args.set]]
     if args.quick:
         args.seeds, args.evaluations, problems = 3, 10, problems[:4]
         args.out = RESULTS / "diversity-quick.jsonl"

@@ -9,7 +9,7 @@ const ACTIONS = {
   },
   resume: { label: "Resume", yes: "Resume", states: ["paused", "cancelled"], text: "Interrupted trials continue from their checkpoints." },
   extend: {
-    label: "Extend", yes: "Extend", states: ["queued", "running", "paused", "complete"], number: "More trials",
+    label: "Extend", yes: "Extend", states: ["queued", "running", "paused", "complete"], number: true,
     text: "The search goes on from everything it has found so far.",
   },
   cancel: {
@@ -26,24 +26,34 @@ export function actionsFor(study) {
 
 export function buttons(study, names = actionsFor(study)) {
   return names.map((name) => element("button", {
-    type: "button", textContent: ACTIONS[name].label, onclick: () => confirm(name, study.name), dataset: { action: name },
+    type: "button", textContent: ACTIONS[name].label, onclick: () => confirm(name, study), dataset: { action: name },
   }));
 }
 
-async function confirm(name, study) {
+// A study whose budget is counted in samples is given more of those.
+function budgetOf(study) {
+  return study.target_trials || !study.target_cost
+    ? { name: "trials", label: "More trials", value: 10, step: 1 }
+    : { name: "cost", label: "More samples", value: Math.round(study.target_cost / 2), step: "any" };
+}
+
+async function confirm(name, { name: study, ...rest }) {
   const action = ACTIONS[name];
+  const budget = budgetOf(rest);
   const dialog = document.getElementById("confirm");
   const [title, text, field, problem, yes] = ["title", "text", "number", "problem", "yes"].map((part) => document.getElementById(`confirm-${part}`));
   title.textContent = `${action.label} ${study}?`;
   text.textContent = action.text;
   field.hidden = !action.number;
-  field.querySelector("span").textContent = action.number ?? "";
+  const input = field.querySelector("input");
+  field.querySelector("span").textContent = budget.label;
+  Object.assign(input, { step: budget.step, value: budget.value });
   problem.hidden = true;
   yes.textContent = action.yes;
   yes.onclick = async (event) => {
     event.preventDefault();
     yes.disabled = true;
-    const body = action.number ? { trials: Number(field.querySelector("input").value) } : {};
+    const body = action.number ? { [budget.name]: Number(input.value) } : {};
     try {
       await post(`/studies/${encodeURIComponent(study)}/${name}`, body);
       dialog.close();

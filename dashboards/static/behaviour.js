@@ -9,15 +9,13 @@ const MOST = 1500;
 const MOST_LINES = 12;
 
 export class BehaviourChart {
-  constructor(at, { study, trials, behaviour, valueTitle = "value", onHover = () => {} }) {
-    Object.assign(this, { at, study, trials, behaviour, valueTitle, onHover });
+  constructor(at, { study, trials, behaviour, value, onHover = () => {}, onHint = () => {} }) {
+    Object.assign(this, { at, study, trials, behaviour, value, onHover, onHint });
     this.strategies = [];
     this.view = { turn: 0.9, tilt: 0.38 };
     onTheme(() => this.draw());
     if (behaviour.kind === "rotation") this.#turnable();
   }
-
-  hint() { return spaceOf(this.behaviour, { low: 0, high: 1, axes: [] }).hint(); }
 
   draw() {
     if (this.queued) return;
@@ -67,12 +65,12 @@ export class BehaviourChart {
       return [this.behaviour.low?.[index] ?? Math.min(...found), this.behaviour.high?.[index] ?? Math.max(...found)];
     });
     const [low, high] = values.length ? [Math.min(...values), Math.max(...values)] : [0, 0];
-    return { low, high, axes, label: this.valueTitle };
+    return { low, high, axes, label: this.value.title };
   }
 
   words(trial) {
     const where = this.behaviour.names.map((name, index) => `${name} ${feature(trial.features[index], this.behaviour.kind === "rotation" ? "" : this.behaviour.unit)}`).join(", ");
-    return `trial ${trial.number}: ${where}, ${this.valueTitle} ${number(trial.value)}`;
+    return `trial ${trial.number}: ${where}, ${this.value.title} ${number(trial.value)}`;
   }
 
   #draw() {
@@ -82,6 +80,7 @@ export class BehaviourChart {
       return;
     }
     const space = (this.space = spaceOf(this.behaviour, this.#range(trials), this.view));
+    this.onHint(space.hint());
     const names = new Map(this.strategies.map((strategy, index) => [strategy.number, index + 1]));
     if (trials.length > MOST) {
       const step = Math.ceil(trials.length / MOST);
@@ -97,7 +96,9 @@ export class BehaviourChart {
       this.places.set(trial.number, { x, y, visible, r: rank ? 10 : 4, trial });
       (rank && visible ? front : behind).append(this.#mark(trial, rank, x, y, visible, space));
     }
-    root.append(behind, lines, front);
+    const words = svg("g");
+    space.words(words);
+    root.append(behind, lines, words, front);
     this.at.replaceChildren(root);
     if (this.lit !== undefined && this.lit >= 0) this.light(this.lit);
   }

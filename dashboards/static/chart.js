@@ -1,5 +1,5 @@
 // Plotly in the page's own colours: loaded when the first chart is wanted, redrawn when the theme changes.
-import { onTheme } from "./plain.js";
+import { isDark, onTheme } from "./plain.js";
 
 let loading = null;
 
@@ -24,7 +24,12 @@ export const SYMBOLS = {
 };
 
 // Okabe and Ito's palette, in an order whose neighbours differ in lightness too.
-export const SERIES = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
+const SERIES = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
+// The same hues on a dark ground, where the first three would sink.
+const SERIES_DARK = ["#56b4e9", "#f2854a", "#2fc49a", "#e29cc4", "#f0c24f", "#8fb8ff"];
+export const KINDS = SERIES.length;
+
+export function series(index) { return (isDark() ? SERIES_DARK : SERIES)[index % KINDS]; }
 
 // An axis that counts: no tick between two whole numbers.
 export function counted(values) {

@@ -7,22 +7,25 @@ const words = (text) => text.replaceAll("_", " ");
 const link = (address, text) => element("a", { href: address, textContent: text });
 
 // `rare` columns are shown when somebody chooses them.
-export function columnsOf({ base, behaviour, units, space, value, hasDifficulty }, { parameters = [], details = [], troubled = false } = {}) {
+export function columnsOf({ base, behaviour, units, space, value, hasDifficulty, staged = false }, { parameters = [], details = [], troubled = false } = {}) {
   const title = value.title[0].toUpperCase() + value.title.slice(1);
   const unitOf = (name) => (units[name] ? ` (${units[name]})` : "");
   const columns = [
     { key: "number", head: "#", num: true, cell: (t) => link(`${base}/trials/${t.number}`, t.number), text: (t) => String(t.number) },
     {
-      key: "state", head: "State", text: (t) => `${stateText(t.state)}${t.retries ? ` ⌁ ${t.retries}` : ""}`,
+      key: "state", head: "State", text: (t) => `${stateText(t.state)}${t.retries ? ` ↻ ${t.retries}` : ""}`,
       cell: (t) => element("span", {}, element("span", { className: "state", dataset: { state: t.state }, textContent: stateText(t.state) }),
-        ...(t.retries ? [element("span", { className: "state", dataset: { state: "lost" }, textContent: ` ⌁ ${t.retries}`, title: `${t.retries} ${t.retries === 1 ? "attempt was" : "attempts were"} lost or failed` })] : [])),
+        ...(t.retries ? [element("span", { className: "state", dataset: { state: "lost" }, textContent: ` ↻ ${t.retries}`, title: `${t.retries} ${t.retries === 1 ? "attempt was" : "attempts were"} lost or failed` })] : [])),
     },
     { key: "value", head: title, num: true, text: (t) => number(t.value) },
   ];
+  // What a jump is called says more than four coordinates of its rotation.
+  const named = details.some((one) => one.name === "name");
+  if (named) columns.push({ key: "details.name", head: "Strategy", text: (t) => plain(t.details.name ?? "") });
   for (const [index, name] of (behaviour?.names ?? []).entries()) {
     const unit = behaviour.kind === "rotation" ? "" : behaviour.unit;
     columns.push({
-      key: `features.${index}`, also: [`feature.${name}`, name], head: words(name) + (unit && unit !== "rad" ? ` (${unit})` : ""), num: true, scale: unit === "rad" ? 1 / DEGREES : 1,
+      key: `features.${index}`, also: [`feature.${name}`, name], head: (behaviour.kind === "rotation" ? `rotation ${name}` : words(name)) + (unit && unit !== "rad" ? ` (${unit})` : ""), num: true, rare: behaviour.kind === "rotation", scale: unit === "rad" ? 1 / DEGREES : 1,
       text: (t) => (t.features ? feature(t.features[index], unit === "rad" ? unit : "") : "–"),
     });
   }
@@ -39,13 +42,13 @@ export function columnsOf({ base, behaviour, units, space, value, hasDifficulty 
     { key: "retries", head: "Lost or failed attempts", num: true, rare: true, text: (t) => String(t.retries) },
     { key: "iteration", head: "Iteration", num: true, rare: true, text: (t) => number(t.iteration) },
     { key: "position", head: "Finished as", num: true, rare: true, text: (t) => number(t.position) },
-    { key: "stage", head: "Stage", rare: true, text: (t) => t.stage },
+    { key: "stage", head: "Stage", rare: !staged, text: (t) => t.stage },
     { key: "created_at", head: "Proposed", rare: true, text: (t) => moment(t.created_at) },
     { key: "started_at", head: "Started", rare: true, text: (t) => (t.started_at ? moment(t.started_at) : "–") },
     { key: "finished_at", head: "Finished", rare: true, text: (t) => (t.finished_at ? moment(t.finished_at) : "–") },
     { key: "message", head: "What went wrong", rare: !troubled, text: (t) => t.message },
   );
-  for (const name of details) columns.push({ key: `details.${name}`, head: words(name), num: true, rare: true, text: (t) => plain(t.details[name]) });
+  for (const { name, num } of details) if (name !== "name") columns.push({ key: `details.${name}`, head: words(name), num, rare: true, text: (t) => plain(t.details[name]) });
   return columns;
 }
 

@@ -1,21 +1,19 @@
 // The learning curve of a trial: one small chart a metric, fetched from the last iteration known.
-import { Chart, SERIES, counted } from "./chart.js";
+import { Chart, counted, series } from "./chart.js";
 import { api } from "./live.js";
+import { metricRange, metricTitle } from "./metricwords.js";
 import { element } from "./plain.js";
+import { saveSmall } from "./svg.js";
 
 // What tells a training: one metric for each of these words, if it was reported.
 const FIRST = ["return", "bar", "level", "success", "kl", "samples_per_second", "height", "reward", "value", "loss"];
 const MOST = 6;
-const TITLES = {
-  return_mean: "mean return", return: "return", success_rate: "success rate (share)", success: "success rate (share)", kl: "KL (nats)", samples_per_second: "samples/s",
-  samples: "samples (control steps)", episode_length: "episode length (control steps)", level: "level of the curriculum",
-};
-const METRES = new Set(["bar", "level", "level_mastered"]);
 const REMEMBER = "halma-metrics";
 
 export class Curves {
-  constructor(at, choice, path, task = "") {
+  constructor(at, choice, path, { task = "", called = "trial" } = {}) {
     this.task = task;
+    this.called = called;
     this.at = at;
     this.choice = choice;
     this.path = path;
@@ -61,16 +59,19 @@ export class Curves {
     const shown = this.shown();
     if (this.choice.dataset.names !== names.join()) {
       this.choice.dataset.names = names.join();
-      this.choice.replaceChildren(...names.map((name) => element("button", { type: "button", textContent: name, onclick: () => this.toggle(name), dataset: { metric: name } })));
+      this.choice.replaceChildren(...names.map((name) => element("button", { type: "button", textContent: name.replaceAll("_", " "), onclick: () => this.toggle(name), dataset: { metric: name } })));
     }
     for (const button of this.choice.children) button.setAttribute("aria-pressed", String(shown.includes(button.dataset.metric)));
     if (!this.charts.size) this.at.replaceChildren();
     for (const [name, { box }] of this.charts) if (!shown.includes(name)) { box.remove(); this.charts.delete(name); }
     for (const [index, name] of shown.entries()) {
       if (!this.charts.has(name)) {
-        const box = element("div", { dataset: { metric: name } });
+        const at = element("div", { className: "small-chart" });
+        const box = element("div", { dataset: { metric: name } }, at);
         this.at.append(box);
-        this.charts.set(name, { box, chart: new Chart(box, () => this.describe(name, index), { name }) });
+        const chart = new Chart(at, () => this.describe(name, index), { name: `${this.called}-${name}` });
+        saveSmall(box, `${this.called}-${name}`, () => chart);
+        this.charts.set(name, { box, chart });
       }
       this.charts.get(name).chart.draw();
     }
@@ -79,8 +80,8 @@ export class Curves {
   describe(name, index) {
     const values = this.series[name];
     return {
-      traces: [{ type: "scatter", mode: values.length > 1 ? "lines" : "markers", x: this.iterations, y: values, line: { color: SERIES[index % SERIES.length], width: 1.6 }, hovertemplate: `iteration %{x}<br>${name} %{y:.4g}<extra></extra>` }],
-      x: { title: "iteration", more: counted(this.iterations) }, y: { title: this.task === "high_jump" && METRES.has(name) ? "bar height (m)" : TITLES[name] ?? name.replaceAll("_", " ") }, margin: { t: 6, r: 6 },
+      traces: [{ type: "scatter", mode: values.length > 1 ? "lines" : "markers", x: this.iterations, y: values, line: { color: series(index), width: 1.6 }, hovertemplate: `iteration %{x}<br>${name} %{y:.4g}<extra></extra>` }],
+      x: { title: "iteration", more: counted(this.iterations) }, y: { title: metricTitle(name, this.task), more: metricRange(name) ? { range: metricRange(name) } : {} }, margin: { t: 6, r: 6 },
       // Where a new attempt took over: a thin line, so that a step back would be seen for what it is.
       shapes: this.attempts.flatMap((attempt, at) => (at && attempt !== this.attempts[at - 1]
         ? [{ type: "line", x0: this.iterations[at] - 0.5, x1: this.iterations[at] - 0.5, yref: "paper", y0: 0, y1: 1, line: { width: 1, dash: "dot", color: "#888" } }] : [])),

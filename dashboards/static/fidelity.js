@@ -29,7 +29,7 @@ export class Fidelity {
   }
 
   #ladder() {
-    const axes = { x: { title: "difficulty z" }, y: { title: this.value.title }, legend: true };
+    const axes = { x: { title: "difficulty z", more: { range: [-0.06, 1.06] } }, y: { title: this.value.title }, legend: true };
     const told = this.trialsWithLevel.filter((trial) => trial.value !== null);
     if (!told.length) return { traces: [], empty: "The first finished trial appears here.", ...axes };
     const traces = STATES.flatMap((state) => {

@@ -6,10 +6,14 @@ import { element, onTheme, setText } from "./plain.js";
 import { svg } from "./svg.js";
 
 const PAUSE = 4000;
+// Share of the time that the service may be busy with this by itself.
+const SHARE = 0.05;
+const MOST_PAUSE = 30_000;
 
 export class Importance {
   #timer = 0;
   #last = 0;
+  #took = 0;
 
   constructor({ base, behaviour }) {
     this.base = base;
@@ -31,13 +35,14 @@ export class Importance {
   draw({ history } = {}) {
     if (!history && this.found) return;
     clearTimeout(this.#timer);
-    this.#timer = setTimeout(() => this.#ask(), Math.max(0, this.#last + PAUSE - Date.now()));
+    this.#timer = setTimeout(() => this.#ask(), Math.max(0, this.#last + Math.min(MOST_PAUSE, Math.max(PAUSE, this.#took / SHARE)) - Date.now()));
   }
 
   async #ask() {
     this.#last = Date.now();
     try {
       this.found = await api(`${this.base}/importance${this.of.parentElement.hidden || !this.of.value ? "" : `?of=${this.of.value}`}`);
+      this.#took = Date.now() - this.#last;
       if (this.found.of && !this.of.value) this.of.value = this.found.of;
     } catch (error) {
       this.found = { parameters: [], best: null, note: error.message };
@@ -51,6 +56,7 @@ export class Importance {
 
   #draw() {
     const width = this.at.clientWidth;
+    if (!this.found && !this.at.firstChild) this.at.append(element("p", { className: "empty", textContent: "Working out what matters …" }));
     if (!this.found || !width) return;
     const parameters = [...this.found.parameters].sort((a, b) => b.permutation - a.permutation);
     if (!parameters.length) {

@@ -1,7 +1,9 @@
 // Learning curves of several trials on one picture, one metric at a time.
-import { Chart, SERIES } from "./chart.js";
+import { Chart, KINDS, counted, series } from "./chart.js";
 import { api } from "./live.js";
+import { metricRange, metricTitle } from "./metricwords.js";
 import { element, setText } from "./plain.js";
+import { answers } from "./trials.js";
 
 const MOST = 12;
 const DASHES = ["solid", "dash", "dot"];
@@ -10,8 +12,8 @@ const FIRST = ["return", "bar", "level", "success", "height", "reward", "value"]
 export class Overlay {
   #timer = 0;
 
-  constructor({ base, study, trials }) {
-    Object.assign(this, { base, trials });
+  constructor({ base, study, trials, task }) {
+    Object.assign(this, { base, trials, task });
     const address = new URLSearchParams(location.search);
     this.metric = document.getElementById("overlay-metric");
     this.input = document.getElementById("overlay-trials");
@@ -35,13 +37,13 @@ export class Overlay {
     const named = [...new Set((this.input.value.match(/\d+/g) ?? []).map(Number))].filter((number) => this.trials.rows.has(number));
     if (named.length) return named.slice(0, MOST);
     const all = this.trials.all();
-    const best = all.filter((trial) => trial.value !== null && trial.iteration > 0).sort((a, b) => b.value - a.value).slice(0, 6);
+    const best = all.filter((trial) => answers(trial) && trial.iteration > 0).sort((a, b) => b.value - a.value).slice(0, 6);
     return [...best, ...all.filter((trial) => trial.state === "running" && trial.iteration > 0).slice(0, 4)].map((trial) => trial.number);
   }
 
   draw() {
     clearTimeout(this.#timer);
-    this.#timer = setTimeout(() => this.#load(), this.curves.size ? 1500 : 0);
+    this.#timer = setTimeout(() => this.#load(), this.curves.size ? 2000 : 0);
   }
 
   async #load() {
@@ -63,7 +65,7 @@ export class Overlay {
       this.metric.dataset.names = names.join();
       const rank = (name) => { const at = FIRST.findIndex((word) => name.includes(word)); return at < 0 ? FIRST.length : at; };
       const chosen = names.includes(this.metricWanted) ? this.metricWanted : [...names].sort((a, b) => rank(a) - rank(b))[0];
-      this.metric.replaceChildren(...names.map((name) => element("option", { textContent: name, selected: name === chosen })));
+      this.metric.replaceChildren(...names.map((name) => element("option", { value: name, textContent: name.replaceAll("_", " "), selected: name === chosen })));
     }
     this.chart.draw();
   }
@@ -71,14 +73,18 @@ export class Overlay {
   #describe() {
     const metric = this.metric.value;
     const bySamples = this.by.value === "samples";
-    const axes = { x: { title: bySamples ? "samples (control steps)" : "iteration", more: { tickformat: bySamples ? "~s" : "d" } }, y: { title: metric || "metric" }, legend: true, always: true };
     const shown = this.wanted().filter((number) => this.curves.get(number)?.series[metric]);
+    const iterations = shown.flatMap((number) => this.curves.get(number).iterations);
+    const axes = {
+      x: { title: bySamples ? "samples (control steps)" : "iteration", more: bySamples ? { tickformat: "~s" } : counted(iterations) },
+      y: { title: metric ? metricTitle(metric, this.task) : "metric", more: metricRange(metric) ? { range: metricRange(metric) } : {} }, legend: true, always: true,
+    };
     const traces = shown.map((number, index) => {
-      const { iterations, series } = this.curves.get(number);
-      const x = bySamples && series.samples ? series.samples : iterations;
+      const { iterations, series: metrics } = this.curves.get(number);
+      const x = bySamples && metrics.samples ? metrics.samples : iterations;
       return {
-        type: "scatter", mode: iterations.length > 1 ? "lines" : "markers", name: `trial ${number}`, x, y: series[metric], hovertemplate: `trial ${number}<br>${bySamples ? "samples" : "iteration"} %{x}<br>${metric} %{y:.4g}<extra></extra>`,
-        line: { width: 1.7, color: SERIES[index % SERIES.length], dash: DASHES[Math.floor(index / SERIES.length) % DASHES.length] },
+        type: "scatter", mode: iterations.length > 1 ? "lines" : "markers", name: `trial ${number}`, x, y: metrics[metric], hovertemplate: `trial ${number}<br>${bySamples ? "samples" : "iteration"} %{x}<br>${metric} %{y:.4g}<extra></extra>`,
+        line: { width: 1.7, color: series(index), dash: DASHES[Math.floor(index / KINDS) % DASHES.length] },
       };
     });
     return { traces, empty: "Curves appear as trials report their first iterations.", ...axes };

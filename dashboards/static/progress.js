@@ -31,7 +31,12 @@ export function drawProgress(bar, study) {
   bar.title = text;
   for (const [state, count] of known) {
     let part = bar.querySelector(`[data-state="${state}"]`);
-    if (!part && count) bar.append((part = element("i", { dataset: { state } })));
+    if (!part && count) {
+      part = element("i", { dataset: { state } });
+      // In the order of `known`, whichever state came first.
+      const order = known.map(([one]) => one);
+      bar.insertBefore(part, [...bar.children].find((other) => order.indexOf(other.dataset.state) > order.indexOf(state)) ?? null);
+    }
     if (part) part.style.width = `${(100 * count) / all}%`;
   }
 }

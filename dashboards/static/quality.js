@@ -5,6 +5,7 @@ import { Importance } from "./importance.js";
 import { Overlay } from "./overlay.js";
 import { Parallel } from "./parallel.js";
 import { element } from "./plain.js";
+import { saveSmall } from "./svg.js";
 import { thinned } from "./valuechart.js";
 
 export class Quality {
@@ -23,10 +24,12 @@ export class Quality {
     const box = document.getElementById("each");
     for (const name of this.trials.parameters) {
       if (!this.each.has(name)) {
-        const at = element("div", { dataset: { parameter: name } });
-        box.append(at);
+        const at = element("div", { className: "small-chart" });
+        const frame = element("div", { dataset: { parameter: name } }, at);
+        box.append(frame);
         const open = (point) => { if (point.customdata !== undefined) location.assign(`${this.base}/trials/${point.customdata}`); };
         this.each.set(name, new Chart(at, () => this.#against(name), { name: `${this.study}-${name}`, onClick: open }));
+        saveSmall(frame, `${this.study}-${name}`, () => this.each.get(name));
       }
       this.each.get(name).draw();
     }

@@ -1,16 +1,20 @@
 // <halma-replay src="…/replay.bin" poster="…/pose.png">: a recorded motion in 3-D.
 // Space plays and pauses, arrows step frame by frame, Home and End go to the ends, B to the bar; drag to look around.
+import { isDark, onTheme } from "./plain.js";
 import { fetchReplay, overTheBar, read } from "./replayfile.js";
 
 const sheet = new CSSStyleSheet();
 sheet.replaceSync(`
   :host { display: block; position: relative; container-type: inline-size; }
-  .view { position: relative; height: calc(100% - 38px); background: linear-gradient(#dfe5ea, #f4f5f5); border-radius: 4px; overflow: hidden; }
+  .view { position: relative; height: calc(100% - 38px); background: linear-gradient(#dfe5ea, #f4f5f5); color: #1c2126; border-radius: 4px; overflow: hidden; }
+  :host([dark]) .view { background: linear-gradient(#1d242b, #2a3138); color: #e7e4df; }
   canvas { width: 100%; height: 100%; display: block; touch-action: none; }
   canvas:focus-visible, button:focus-visible, input:focus-visible, select:focus-visible { outline: 2px solid var(--focus); outline-offset: -2px; }
   img { width: 100%; height: 100%; object-fit: contain; display: block; }
   .said { position: absolute; left: 0; right: 0; bottom: 0; margin: 0; padding: 6px 12px; background: rgb(255 255 255 / 0.85); color: #1c2126; }
-  .figures { position: absolute; left: 10px; top: 8px; margin: 0; color: #1c2126; font-size: 12px; font-variant-numeric: tabular-nums; pointer-events: none; text-shadow: 0 0 3px #fff; white-space: pre-line; }
+  :host([dark]) .said { background: rgb(20 23 26 / 0.85); color: #e7e4df; }
+  .figures { position: absolute; left: 10px; top: 8px; margin: 0; font-size: 12px; font-variant-numeric: tabular-nums; pointer-events: none; text-shadow: 0 0 3px #fff; white-space: pre-line; }
+  :host([dark]) .figures { text-shadow: 0 0 3px #000; }
   .bar { display: flex; gap: 8px; align-items: center; height: 38px; padding-top: 6px; }
   input[type=range] { flex: 1; min-width: 60px; accent-color: var(--accent); }
   button, select { font: inherit; color: var(--ink); background: var(--sheet); border: 1px solid var(--line); border-radius: 4px; padding: 2px 9px; cursor: pointer; }
@@ -61,7 +65,17 @@ export class HalmaReplay extends HTMLElement {
     if (this.isConnected) this.#load();
   }
 
-  connectedCallback() { this.#load(); }
+  connectedCallback() {
+    this.#dress();
+    this.#load();
+    this.wired ??= onTheme(() => this.#dress()) ?? true;
+  }
+
+  // The scene follows the page: a bright window in a dark page blinds.
+  #dress() {
+    this.toggleAttribute("dark", isDark());
+    this.stage?.dress(isDark());
+  }
 
   attributeChangedCallback(name, before, now) { if (this.isConnected && before !== now) this.#load(); }
 
@@ -85,12 +99,14 @@ export class HalmaReplay extends HTMLElement {
       if (turn !== this.#wanted || !this.isConnected) return;
       this.stage?.dispose();
       this.replay = replay;
-      this.stage = new Stage(this.canvas, replay, { onDraw: () => { this.drawn++; } });
+      this.stage = new Stage(this.canvas, replay, { dark: isDark(), onDraw: () => { this.drawn++; } });
     } catch (error) {
       if (turn === this.#wanted) this.#fail(error);
       return;
     }
-    this.crossing = overTheBar(this.replay);
+    const jumps = this.replay.header.bar > 0;
+    this.crossing = jumps ? overTheBar(this.replay) : null;
+    this.shadowRoot.querySelector(".bar-button").hidden = !jumps;
     this.range.max = this.duration;
     this.observer = new ResizeObserver(() => this.stage?.resize(this.view.clientWidth || 1, this.view.clientHeight || 1));
     this.observer.observe(this.view);
@@ -121,7 +137,8 @@ export class HalmaReplay extends HTMLElement {
     this.clock.textContent = `${at.toFixed(2)} s`;
     const height = this.stage.com(at).y;
     const { bar } = this.replay.header;
-    this.figures.textContent = `centre of mass ${height.toFixed(2)} m (bar ${bar.toFixed(2)} m)${this.stage.force > 0.02 ? `\npush ${this.stage.force.toFixed(1)} × body weight` : ""}`;
+    const beside = bar > 0 ? ` (bar ${bar.toFixed(2)} m)` : `, ${this.stage.com(at).x.toFixed(1)} m along`;
+    this.figures.textContent = `centre of mass ${height.toFixed(2)} m${beside}${this.stage.force > 0.02 ? `\npush ${this.stage.force.toFixed(1)} × body weight` : ""}`;
     this.canvas.setAttribute("aria-label", `The motion at ${at.toFixed(2)} seconds; centre of mass at ${height.toFixed(2)} metres`);
     this.dispatchEvent(new Event("seek"));
   }

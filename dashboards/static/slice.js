@@ -6,6 +6,7 @@ import { STATES, number } from "./format.js";
 import { api } from "./live.js";
 import { element, setText } from "./plain.js";
 import { Sliders } from "./sliders.js";
+import { answers } from "./trials.js";
 import { thinned } from "./valuechart.js";
 
 // Cividis, which reads the same with every kind of colour vision; and one hue for what isn't known.
@@ -16,11 +17,15 @@ const UNSURE_DARK = [[0, "#20242a"], [0.35, "#4b3c5e"], [0.7, "#9a79b8"], [1, "#
 const OVER = { failed: "#f2641c", running: "#12b88c", queued: "#12b88c" };
 const PATIENCE = 180;
 const LEAST_PAUSE = 2000;
+// Share of the time that the service may be busy with slices that nobody but new trials asked for.
+const SHARE = 0.05;
+const MOST_PAUSE = 15_000;
 
 export class SliceView {
   #asked = 0;
   #timer = 0;
   #last = 0;
+  #took = 0;
 
   constructor({ base, study, trials, behaviour, units, space, value, hasDifficulty, dark }) {
     Object.assign(this, { base, study, trials, behaviour, units, space, value, dark });
@@ -53,7 +58,7 @@ export class SliceView {
   }
 
   #best() {
-    return this.trials.history().filter((trial) => trial.state === "complete" && trial.value !== null)
+    return this.trials.history().filter(answers)
       .reduce((best, trial) => (best === null || trial.value > best.value ? trial : best), null);
   }
 
@@ -77,6 +82,7 @@ export class SliceView {
     try {
       const slice = await api(`${this.base}/slice?${query}`);
       if (turn !== this.#asked) return;
+      this.#took = Date.now() - this.#last;
       this.slice = slice;
       this.sliders.follow(slice.others);
       setText("slice-note", slice.note ?? "");
@@ -99,7 +105,7 @@ export class SliceView {
     this.mean.draw();
     if (!history && this.slice !== undefined) return;
     clearTimeout(this.#timer);
-    this.#timer = setTimeout(() => this.#ask(), Math.max(0, this.#last + LEAST_PAUSE - Date.now()));
+    this.#timer = setTimeout(() => this.#ask(), Math.max(0, this.#last + Math.min(MOST_PAUSE, Math.max(LEAST_PAUSE, this.#took / SHARE)) - Date.now()));
   }
 
   #has(which) {
@@ -109,7 +115,7 @@ export class SliceView {
 
   #axes() {
     const axis = (name) => ({ title: this.units[name] ? `${name} (${this.units[name]})` : name, more: this.space[name]?.log ? { type: "log" } : {} });
-    return { x: axis(this.x.value), y: axis(this.y.value), legend: true, margin: { r: 8 } };
+    return { x: axis(this.x.value), y: axis(this.y.value), legend: true, margin: { r: 8, t: 46 } };
   }
 
   #heat(values, scale) {
@@ -195,7 +201,7 @@ export class SliceView {
 
   #deviation() {
     if (!this.#has("deviation")) return { traces: [], empty: "No surrogate yet.", ...this.#axes() };
-    this.#legend("scale-unsure", this.slice.deviation, "± ", "unsure");
+    this.#legend("scale-unsure", this.slice.deviation, "standard deviation", "unsure");
     const traces = this.#samples(false).map((trace) => ({ ...trace, showlegend: false }));
     return { traces: [this.#heat(this.slice.deviation, this.dark() ? UNSURE_DARK : UNSURE), ...traces], ...this.#axes() };
   }

@@ -1,6 +1,7 @@
 // The kinds of behaviour space, each with where an outcome stands, its frame, and how far two outcomes are apart.
 //
-// place(trial) gives [x, y, visible] in a square of SIZE; frame(root) draws what doesn't depend on the trials.
+// place(trial) gives [x, y, visible] in a square of SIZE; frame(root) draws what doesn't depend on the trials, and
+// words(root) what has to be read over them.
 import { colour } from "./chart.js";
 import { feature, number } from "./format.js";
 import { svg } from "./svg.js";
@@ -31,6 +32,8 @@ export function distanceWords(behaviour, value) { return feature(value, behaviou
 const line = () => ({ stroke: colour("line"), fill: "none" });
 const soft = (more = {}) => ({ fill: colour("soft"), "font-size": 11, ...more });
 const middle = { "text-anchor": "middle" };
+// Words that marks may lie under or over: a rim in the paper's colour keeps them readable.
+const rimmed = () => ({ stroke: colour("sheet"), "stroke-width": 3, "stroke-linejoin": "round", "paint-order": "stroke" });
 
 function share(value, { low, high }) { return value === null || high === low ? 1 : (value - low) / (high - low); }
 
@@ -38,7 +41,12 @@ function share(value, { low, high }) { return value === null || high === low ? 1
 class Circle {
   constructor(behaviour, range) { this.behaviour = behaviour; this.range = range; this.outer = HALF - 36; }
 
-  hint() { return `direction: ${this.behaviour.names[0]}; away from the centre: value`; }
+  // The scale is told here: words on the rings would lie under the marks.
+  hint() {
+    const { low, high, label } = this.range;
+    const rings = high > low ? `, ${number(low, 3)} (inner ring) to ${number(high, 3)} (outer ring)` : "";
+    return `direction: ${this.behaviour.names[0]}; away from the centre: ${label}${rings}`;
+  }
 
   radius(trial) { return (0.25 + 0.75 * share(trial.value, this.range)) * this.outer; }
 
@@ -55,18 +63,16 @@ class Circle {
       const degrees = turn > 4 ? turn * 45 - 360 : turn * 45;
       root.append(svg("text", { x: HALF + (this.outer + 18) * c, y: HALF - (this.outer + 18) * s + 4, ...middle, ...soft() }, `${String(degrees).replace("-", "−")}°`));
     }
-    if (this.range.high > this.range.low) {
-      root.append(svg("text", { x: HALF + 4, y: HALF - 0.25 * this.outer - 3, ...soft() }, number(this.range.low, 3)));
-      root.append(svg("text", { x: HALF + 4, y: HALF - this.outer + 12, ...soft() }, number(this.range.high, 3)));
-    }
   }
+
+  words() {}
 }
 
 // One angle between 0 and a half turn, as an inclination is: a dial that opens to the right, 0 at the top.
 class Dial extends Circle {
   constructor(behaviour, range) { super(behaviour, range); this.outer = SIZE - 150; this.at = [78, HALF]; }
 
-  hint() { return `direction: ${this.behaviour.names[0]} (0° is up); away from the centre: value`; }
+  hint() { return `direction: ${this.behaviour.names[0]} (0° is up); away from the centre: ${this.range.label}`; }
 
   place(trial) {
     const r = (0.25 + 0.75 * share(trial.value, this.range)) * (HALF - 30);
@@ -123,6 +129,8 @@ class Plane {
       svg("text", { x: 14, y: HALF, transform: `rotate(-90 14 ${HALF})`, ...middle, ...soft() }, this.single ? this.range.label : this.behaviour.names[1] + unit),
     );
   }
+
+  words() {}
 }
 
 // Rotations: where the body's forward axis points, on a sphere that can be turned; a stroke shows where its head is.
@@ -168,9 +176,12 @@ class Sphere {
     this.arc(root, (t) => [Math.cos(t), 0, Math.sin(t)]);
     this.arc(root, (t) => [Math.cos(t), Math.sin(t), 0]);
     this.arc(root, (t) => [0, Math.cos(t), Math.sin(t)]);
+  }
+
+  words(root) {
     for (const [vector, text] of [[[1, 0, 0], "over the bar"], [[-1, 0, 0], "back"], [[0, 1, 0], "up"], [[0, -1, 0], "down"], [[0, 0, 1], "right"], [[0, 0, -1], "left"]]) {
       const [x, y, front] = this.screen(vector.map((value) => value * 1.1));
-      root.append(svg("text", { x, y: y + 4, ...middle, ...soft(), "fill-opacity": front ? 1 : 0.6 }, text));
+      root.append(svg("text", { x, y: y + 4, ...middle, ...soft(rimmed()), opacity: front ? 1 : 0.65 }, text));
     }
   }
 }

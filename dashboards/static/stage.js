@@ -17,6 +17,12 @@ const GRAVITY = 9.81;
 const WEIGHT_ARROW = 0.3; // metres for a force of one body weight
 const LONGEST_ARROW = 1.5; // a landing pushes with tens of body weights for an instant
 
+// What changes between a light and a dark page: the surroundings, not the athlete.
+const SURROUNDINGS = {
+  light: { fog: 0xe6eaed, floor: 0xb9bfc4, runway: 0xcc6b54, mat: 0x5c9985, post: 0xe6e6e6, path: 0x101418, sky: 1.5, sun: 2.1 },
+  dark: { fog: 0x262d34, floor: 0x3b434b, runway: 0x9c5342, mat: 0x417060, post: 0xc4c8cc, path: 0xf2f4f6, sky: 1.15, sun: 1.9 },
+};
+
 export class NoWebGL extends Error {}
 
 let known = null;
@@ -47,7 +53,7 @@ function colourOf(name) {
 }
 
 export class Stage {
-  constructor(canvas, replay, { onDraw = () => {} } = {}) {
+  constructor(canvas, replay, { onDraw = () => {}, dark = false } = {}) {
     this.replay = replay;
     this.onDraw = onDraw;
     this.follow = true;
@@ -71,12 +77,23 @@ export class Stage {
     this.#furnish();
     this.#athlete();
     this.#path();
+    this.dress(dark);
     this.home();
   }
 
+  dress(dark) {
+    const look = SURROUNDINGS[dark ? "dark" : "light"];
+    this.scene.fog.color.set(look.fog);
+    for (const [part, material] of this.dressed) material.color.set(look[part]);
+    this.sky.intensity = look.sky;
+    this.sun.intensity = look.sun;
+    this.draw();
+  }
+
   #light() {
-    this.scene.add(new HemisphereLight(0xffffff, 0x8a8f96, 1.5), new AmbientLight(0xffffff, 0.25));
-    const sun = new DirectionalLight(0xffffff, 2.1);
+    this.sky = new HemisphereLight(0xffffff, 0x8a8f96, 1.5);
+    this.scene.add(this.sky, new AmbientLight(0xffffff, 0.25));
+    const sun = (this.sun = new DirectionalLight(0xffffff, 2.1));
     sun.position.set(-3, 6, 4.5);
     sun.castShadow = true;
     sun.shadow.mapSize.set(this.shadowSize, this.shadowSize);
@@ -99,16 +116,35 @@ export class Stage {
   }
 
   #furnish() {
-    const { bar, mat_height: mat } = this.replay.header;
-    const floor = this.#solid(new PlaneGeometry(40, 40).rotateX(-Math.PI / 2), 0xb9bfc4);
+    const { bar, mat_height: mat, wall_half_thickness: wall = 0.02 } = this.replay.header;
+    const { light } = SURROUNDINGS;
+    const floor = this.#solid(new PlaneGeometry(40, 40).rotateX(-Math.PI / 2), light.floor);
     floor.castShadow = false;
     floor.position.y = -0.021;
     this.scene.add(floor);
-    this.#box([6.2, 0.02, 12], [-3, -0.01, 0], 0xcc6b54).castShadow = false;
-    this.#box([4, mat, 6], [2.05, mat / 2, 0], 0x5c9985);
+    if (!(mat > 0)) {
+      // No jump: a track without end, with a line across every metre to see the speed by.
+      const track = this.#box([40, 0.02, 3], [10, -0.01, 0], light.runway);
+      track.castShadow = false;
+      this.dressed = [["floor", floor.material], ["runway", track.material]];
+      for (let x = -9; x < 30; x++) {
+        const line = this.#box([0.03, 0.004, 3], [x, 0, 0], light.post);
+        line.castShadow = false;
+        this.dressed.push(["post", line.material]);
+      }
+      return;
+    }
+    const obstacle = wall > 0.0201; // the wall that stands for a bar is 0.02 m thick on either side
+    const runway = this.#box([6.2, 0.02, 12], [-3, -0.01, 0], light.runway);
+    runway.castShadow = false;
+    this.dressed = [["floor", floor.material], ["runway", runway.material], ["mat", this.#box([4, mat, 6], [obstacle ? wall + 2 : 2.05, mat / 2, 0], light.mat).material]];
     if (!(bar > 0)) return;
+    if (obstacle) {
+      this.#box([2 * wall, bar, 4], [0, bar / 2, 0], 0xf2cc26);
+      return;
+    }
     this.#box([0.04, 0.04, 4], [0, bar - 0.02, 0], 0xf2cc26);
-    for (const z of [-2, 2]) this.#box([0.06, bar + 0.2, 0.06], [0, bar / 2 + 0.1, z], 0xe6e6e6);
+    for (const z of [-2, 2]) this.dressed.push(["post", this.#box([0.06, bar + 0.2, 0.06], [0, bar / 2 + 0.1, z], light.post).material]);
   }
 
   #athlete() {
@@ -133,7 +169,9 @@ export class Stage {
     points.setAttribute("position", new BufferAttribute(new Float32Array(this.replay.arrays.com), 3));
     this.path = new Line(points, new LineBasicMaterial({ color: 0x101418, transparent: true, opacity: 0.55 }));
     // What is still to come, faintly.
-    this.scene.add(this.path, new Line(points.clone(), new LineBasicMaterial({ color: 0x101418, transparent: true, opacity: 0.16 })));
+    const coming = new Line(points.clone(), new LineBasicMaterial({ color: 0x101418, transparent: true, opacity: 0.16 }));
+    this.scene.add(this.path, coming);
+    this.dressed.push(["path", this.path.material], ["path", coming.material]);
   }
 
   com(time) {
@@ -157,6 +195,10 @@ export class Stage {
     const { arrays, frames, bodies, step } = this.replay;
     const before = this.com(this.time);
     this.time = time;
+    const along = Math.max(0, this.com(time).x);
+    // Shadows are sharp only near where the light looks: it goes with those who leave the bar behind.
+    this.sun.position.x = along - 3;
+    this.sun.target.position.x = along;
     const at = Math.max(0, Math.min(time / step, frames - 1));
     const [i, k] = [Math.floor(at), Math.min(Math.floor(at) + 1, frames - 1)];
     const share = at - i;

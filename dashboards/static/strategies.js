@@ -10,33 +10,61 @@ const MOST_DISTANCES = 8;
 // A task that names what it did knows best.
 function told(name) { return typeof name === "string" && name ? name[0].toUpperCase() + name.slice(1) : null; }
 
+// A trial that is like one of the strategies, and no better, changes a count only: that may wait. A hundred people who
+// watch a busy study would otherwise all ask for all strategies at every trial.
+const SOON = 1000;
+const LATER = 20_000;
+
 export class Strategies {
   #asked = -1;
   #busy = false;
+  #timer = 0;
+  #due = Infinity;
 
   constructor({ base, trials, behaviour, value, light }) {
     Object.assign(this, { base, trials, behaviour, value, light });
   }
 
+  // Finished trials: asked for again soon where they may change the gallery, else some time later.
+  onTrials(trials, tell) {
+    const ended = trials.filter((trial) => trial.state === "complete" && trial.features !== null);
+    if (!ended.length) return;
+    const wait = ended.some((trial) => this.#matters(trial)) ? SOON : LATER * (1 + Math.random());
+    const at = performance.now() + (this.found?.strategies.length ? wait : 0);
+    if (at >= this.#due) return;
+    clearTimeout(this.#timer);
+    this.#due = at;
+    this.#timer = setTimeout(() => this.refresh(tell), at - performance.now());
+  }
+
+  #matters(trial) {
+    if (!this.found || this.found.distance === null) return true;
+    // What the task's own audit refused is nobody's strategy.
+    if (trial.details.audit?.passed === false) return false;
+    // The best stands for all that are like it: nobody who is as good and alike is there, or it changes nothing.
+    return !this.found.strategies.some((one) => (one.value ?? -Infinity) >= (trial.value ?? -Infinity) && distance(this.behaviour, one.features, trial.features) <= this.found.distance);
+  }
+
   async refresh(tell) {
+    clearTimeout(this.#timer);
+    this.#due = Infinity;
     const length = this.trials.history().length;
     if (this.#busy || length === this.#asked) return;
     this.#busy = true;
     this.#asked = length;
     try {
-      const found = await api(`${this.base}/strategies`);
-      this.draw(found);
-      tell(found.strategies);
+      this.found = await api(`${this.base}/strategies?limit=1000`);
+      this.draw(this.found);
+      tell(this.found.strategies);
     } catch {
       this.#asked = -1;
+      this.#timer = setTimeout(() => this.refresh(tell), LATER);
     } finally {
       this.#busy = false;
-      if (this.trials.history().length !== length) setTimeout(() => this.refresh(tell), 500);
     }
   }
 
   draw({ strategies, distance: apart }) {
-    document.getElementById("fact-distinct-box").hidden = false;
     setText("fact-distinct", String(strategies.length));
     const gallery = document.getElementById("gallery");
     const moving = strategies.filter((found) => found.replay).slice(0, 4).map((found) => found.number);
@@ -51,6 +79,8 @@ export class Strategies {
     }
     const focused = document.activeElement?.closest?.(".strategy")?.dataset.number;
     const cards = new Map([...gallery.querySelectorAll(".strategy")].map((card) => [card.dataset.key, card]));
+    // A task without pictures: its cards are words only.
+    gallery.classList.toggle("plain", !strategies.some((found) => found.pose));
     // A card that hasn't changed stays the same element: its picture isn't loaded again and nothing jumps.
     gallery.replaceChildren(...strategies.map((found, index) => cards.get(this.#key(found, index)) ?? this.#card(found, index)));
     if (focused) gallery.querySelector(`[data-number="${focused}"]`)?.focus();
@@ -61,10 +91,11 @@ export class Strategies {
 
   #card(found, index) {
     const { behaviour } = this;
-    const name = told(found.details.name) ?? poseName(found.details.rotation) ?? (behaviour.names[0] === "facing" ? facingName(found.features[0]) : `Strategy ${index + 1}`);
-    const where = behaviour.kind === "rotation"
-      ? (typeof found.details.facing === "number" ? `facing ${feature(found.details.facing, "rad")}` : "")
-      : behaviour.names.map((one, i) => `${one} ${feature(found.features[i], behaviour.unit)}`).join(", ");
+    const coordinates = behaviour.names.map((one, i) => `${one.replaceAll("_", " ")} ${feature(found.features[i], behaviour.unit)}`).join(", ");
+    // An inclination has a name; a direction all the way round is best told by its degrees.
+    const inclined = behaviour.names[0] === "facing" && behaviour.kind === "euclidean";
+    const name = told(found.details.name) ?? poseName(found.details.rotation) ?? (inclined ? facingName(found.features[0]) : told(coordinates));
+    const where = behaviour.kind === "rotation" ? (typeof found.details.facing === "number" ? `facing ${feature(found.details.facing, "rad")}` : "") : name === told(coordinates) ? "" : coordinates;
     const picture = element("span", { className: "picture" });
     if (found.pose) picture.append(element("img", { src: `/api/v1${this.base}/trials/${found.number}/artifacts/pose.png`, alt: `The pose of trial ${found.number}: ${name}`, loading: "lazy", width: 480, height: 360 }));
     else picture.append("no picture");

@@ -144,9 +144,12 @@ new Live({
     if (frame.type !== "events") draw();
   },
   async onReset() {
-    const fresh = await api("/studies");
+    const fresh = await api("/studies?limit=1000");
     for (const known of [studies, rows, pulses]) known.clear();
-    for (const study of fresh.studies) { studies.set(study.name, study); due.add(study.name); }
+    for (let page = fresh; ; page = await api(`/studies?limit=1000&page=${page.next}`)) {
+      for (const study of page.studies) { studies.set(study.name, study); due.add(study.name); }
+      if (page.next === null) break;
+    }
     draw();
     pulse();
     return fresh;

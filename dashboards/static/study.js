@@ -39,13 +39,55 @@ function facts() {
   }
 }
 
+// Stages in the order in which they follow each other; that of a JSON object may be lost in a database.
+function stageNames(stages) {
+  const names = ["search"];
+  for (let ready = true; ready;) {
+    ready = Object.keys(stages).sort().find((name) => !names.includes(name) && stages[name].after.every((each) => names.includes(each)));
+    if (ready) names.push(ready);
+  }
+  return names;
+}
+
+function drawStages() {
+  if (!document.getElementById("fact-stages")) return;
+  setText("fact-stages", stageNames(study.spec.stages).map((name) => {
+    const own = trials.all().filter((trial) => trial.stage === name);
+    const running = own.filter((trial) => trial.state === "running").length;
+    return `${name} ${own.filter((trial) => trial.position !== null).length}${running ? ` (${running} running)` : ""}`;
+  }).join(", "));
+}
+
 function drawPace() {
   const [rate, left] = pace.words(study);
   setText("fact-rate", rate);
   setText("fact-left", left);
 }
 
-const context = { base, study: study.name, trials, behaviour, units, space: study.spec.space ?? {}, value: page.value, hasDifficulty: Boolean(study.spec.has_difficulty) };
+// How many distinct strategies there are; the strategies' own view counts them itself.
+let counting = 0;
+function countDistinct(wait = 0) {
+  if (!behaviour || page.view === "overview") return;
+  counting ||= setTimeout(async () => {
+    counting = 0;
+    try {
+      const { pulses: [one] } = await api(`/pulse?study=${encodeURIComponent(study.name)}`);
+      if (one) setText("fact-distinct", number(one.distinct));
+    } catch { /* the line at the top says that the service doesn't answer */ }
+  }, wait);
+}
+
+const context = { base, study: study.name, trials, behaviour, units, space: study.spec.space ?? {}, task: study.task, value: page.value, hasDifficulty: Boolean(study.spec.has_difficulty), staged: Boolean(Object.keys(study.spec.stages ?? {}).length) };
+// Before a trial has completed nobody can say what a study's value is called: the first ones tell.
+function learnValue(newcomers) {
+  const complete = newcomers.filter((trial) => trial.state === "complete" && trial.value !== null);
+  if (!complete.length || page.value.name !== "value" || study.best_value !== null) return;
+  const name = Object.keys(page.value.units).find((one) => complete.every((trial) => trial.details[one] === trial.value));
+  if (!name) return;
+  const unit = page.value.units[name];
+  Object.assign(page.value, { name, unit, title: unit ? `${name} (${unit})` : name });
+}
+
 const panelOf = (id) => document.getElementById(id).closest(".panel");
 
 // The best value against what it cost, with buttons for what the cost is counted in.
@@ -70,20 +112,23 @@ const views = {
     };
     let space = null;
     if (behaviour) {
-      space = new BehaviourChart(document.getElementById("behaviour"), { ...context, valueTitle: context.value.title, onHover: light });
-      setText("behaviour-hint", space.hint());
+      space = new BehaviourChart(document.getElementById("behaviour"), { ...context, onHover: light, onHint: (text) => setText("behaviour-hint", text) });
       saveButtons(panelOf("behaviour"), `${study.name}-behaviours`, () => document.querySelector("#behaviour > svg"));
     }
     const table = new TrialTable(document.getElementById("table"), context, { onHover: light });
     table.rows.ask({});
     const strategies = behaviour ? new Strategies({ ...context, light }) : null;
+    const show = (found) => { space.strategies = found; space.draw(); };
     return {
       draw(changes) {
         chart.draw();
         space?.draw();
-        if (changes.history) strategies?.refresh((found) => { if (space) { space.strategies = found; space.draw(); } });
+        if (changes.all) strategies?.refresh(show);
       },
-      onEvents: (frame) => table.rows.apply(frame),
+      onEvents(frame) {
+        table.rows.apply(frame);
+        strategies?.onTrials(frame.trials, show);
+      },
       reload: () => table.rows.reset(),
     };
   },
@@ -123,6 +168,8 @@ const views = {
     return { draw() {}, onEvents: (frame) => events.add(frame), reload: () => events.load() };
   },
   async file() {
+    const { fileButtons } = await import("./studyfile.js");
+    fileButtons(document.getElementById("file"), study.name);
     return { draw() {} };
   },
 };
@@ -130,7 +177,9 @@ const views = {
 facts();
 const ready = Promise.all([views[page.view](), trialsLoaded, study.state === "running" ? pace.load() : null]).then(([view, position]) => {
   drawPace();
-  view.draw({ history: true });
+  drawStages();
+  countDistinct();
+  view.draw({ history: true, all: true });
   document.body.dataset.ready = "yes";
   return [view, position];
 });
@@ -150,9 +199,12 @@ ready.then(([view, position]) => new Live({
       document.getElementById("actions").replaceChildren();
     } else if (frame.type === "events") {
       pace.add(frame.trials);
+      learnValue(frame.trials);
+      if (frame.trials.some((trial) => trial.position !== null)) countDistinct(10_000 * (1 + Math.random()));
       if (CHARTS.has(page.view)) {
         const before = trials.history().length;
         trials.apply(frame.trials);
+        drawStages();
         view.draw({ history: trials.history().length !== before });
       }
       view.onEvents?.(frame);
@@ -172,7 +224,9 @@ ready.then(([view, position]) => new Live({
     const at = CHARTS.has(page.view) ? await trials.load() : await api("/server");
     await Promise.all([view.reload?.(), pace.load()]);
     drawPace();
-    view.draw({ history: true });
+    drawStages();
+    countDistinct();
+    view.draw({ history: true, all: true });
     view.onStudy?.();
     return at;
   },

@@ -1,6 +1,6 @@
 // A study file by paste or upload; what is wrong with it is shown at its line.
 import { post } from "./live.js";
-import { element } from "./plain.js";
+import { data, element } from "./plain.js";
 
 const form = document.getElementById("submit");
 const text = document.getElementById("text");
@@ -45,13 +45,39 @@ if (form) {
     else if (event.key !== "Tab") leave = false;
   };
   document.getElementById("upload").onchange = async (event) => {
-    const [file] = event.target.files;
+    await open(event.target.files[0]);
+    event.target.value = "";
+  };
+  async function open(file) {
     if (!file) return;
     if (file.size > 256 * 1024) { show(new Error(`${file.name}: expected a study file of at most 256 KiB, found ${Math.round(file.size / 1024)} KiB`)); return; }
     name = file.name;
-    text.value = await file.text();
+    write(await file.text());
+  }
+  function write(content) {
+    text.value = content;
     text.oninput();
+    text.focus();
+    text.setSelectionRange(0, 0);
+    text.closest(".code").scrollTop = 0;
+  }
+  const examples = data();
+  const example = document.getElementById("example");
+  example.onchange = () => {
+    const chosen = examples[Number(example.value)];
+    if (example.value && (!text.value.trim() || confirm("Put the example in place of what is there?"))) { name = "study.yaml"; write(chosen.text); }
+    example.value = "";
   };
+  // A file dropped anywhere on the editor.
+  const editor = document.getElementById("editor");
+  for (const [event, over] of [["dragenter", true], ["dragover", true], ["dragleave", false], ["drop", false]]) {
+    editor.addEventListener(event, (happened) => {
+      if (!happened.dataTransfer?.types.includes("Files")) return;
+      happened.preventDefault();
+      editor.classList.toggle("over", over);
+      if (event === "drop") open(happened.dataTransfer.files[0]);
+    });
+  }
   form.onsubmit = async (event) => {
     event.preventDefault();
     const send = document.getElementById("send");

@@ -8,7 +8,7 @@ export function svg(tag, attributes = {}, ...children) {
   return made;
 }
 
-function keep(blob, name) {
+export function keep(blob, name) {
   const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
@@ -43,10 +43,20 @@ export async function saveDrawing(drawing, format, name) {
 
 // Two quiet buttons in a panel's head. `target()` is a Chart, an svg element, or null while there is nothing to save.
 export function saveButtons(panel, name, target) {
-  const head = panel.querySelector(".panel-head");
+  panel.querySelector(".panel-head").append(saveGroup(name, target));
+}
+
+// The same for a small picture: seen when it is pointed at, or when the keyboard comes to it.
+export function saveSmall(box, name, target) {
+  const group = saveGroup(name, target);
+  group.classList.add("small");
+  box.append(group);
+}
+
+function saveGroup(name, target) {
   const group = Object.assign(document.createElement("span"), { className: "save" });
   group.setAttribute("role", "group");
-  group.setAttribute("aria-label", "Save this picture");
+  group.setAttribute("aria-label", `Save the picture ${name}`);
   for (const format of ["svg", "png"]) {
     const button = Object.assign(document.createElement("button"), { type: "button", className: "quiet", textContent: format.toUpperCase(), title: `Save as ${format.toUpperCase()}` });
     button.dataset.save = format;
@@ -57,5 +67,5 @@ export function saveButtons(panel, name, target) {
     };
     group.append(button);
   }
-  head.append(group);
+  return group;
 }

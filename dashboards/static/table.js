@@ -6,7 +6,7 @@ import { TrialWindow } from "./window.js";
 
 const ROW = 30;
 const SPARE = 12;
-const WIDEST = 340;
+const WIDEST = 300;
 const PADDING = 22;
 
 export class TrialTable {
@@ -73,6 +73,7 @@ export class TrialTable {
 
   order(sort) {
     this.rows.ask({ sort });
+    this.counted = undefined;
     this.at.scrollTop = 0;
     this.draw();
     this.onChange();
@@ -86,12 +87,25 @@ export class TrialTable {
       const trial = this.rows.row(index);
       if (!trial) continue;
       for (const name of Object.keys(trial.params)) if (!(name in this.context.space) && !parameters.includes(name)) parameters.push(name);
-      for (const name of Object.keys(trial.details)) if (!details.includes(name)) details.push(name);
+      for (const [name, value] of Object.entries(trial.details)) if (!details.some((one) => one.name === name)) details.push({ name, num: typeof value === "number" });
       if (trial.message) this.known.troubled = true;
     }
+    this.#stay();
     if (parameters.length + details.length + Number(this.known.troubled) !== before || !this.signature) this.draw();
     else this.#soon();
     this.onTold?.();
+  }
+
+  // New trials come at the top: somebody who has scrolled down keeps the rows that he reads.
+  #stay() {
+    const { matched, plain, sort } = this.rows;
+    const more = matched - (this.counted ?? matched);
+    this.counted = matched;
+    if (more > 0 && plain && sort === "-number" && this.at.scrollTop >= ROW) {
+      this.gaps[0].cells[0].style.height = `${parseFloat(this.gaps[0].cells[0].style.height || 0) + more * ROW}px`;
+      this.gaps[0].hidden = false;
+      this.at.scrollTop += more * ROW;
+    }
   }
 
   // A column is as wide as the widest that was seen in it: it may grow, and never swings while somebody scrolls.

@@ -5,7 +5,7 @@ import { data, localTimes } from "./plain.js";
 
 const page = data();
 const path = `/studies/${encodeURIComponent(page.study)}/trials/${page.trial}`;
-const curves = new Curves(document.getElementById("curves"), document.getElementById("metric-choice"), path, page.task);
+const curves = new Curves(document.getElementById("curves"), document.getElementById("metric-choice"), path, { task: page.task, called: `${page.study}-${page.trial}` });
 
 async function motion() {
   const form = document.getElementById("beside");
@@ -57,6 +57,9 @@ async function refresh() {
   motion();
 }
 
+// How often what changes with every iteration is fetched: not more than this share of the time.
+const SHARE = 0.05;
+let took = 0;
 let busy = false;
 let again = false;
 async function update({ rendered }) {
@@ -65,7 +68,12 @@ async function update({ rendered }) {
   busy = true;
   try {
     await curves.refresh();
-    while (again) { again = false; await refresh(); }
+    while (again) {
+      again = false;
+      const began = Date.now();
+      await refresh();
+      took = Date.now() - began;
+    }
   } catch (error) {
     console.warn(error.message);
   } finally {
@@ -86,7 +94,7 @@ new Live({
     if (!mine.length) return;
     // Iterations come often and change two numbers; the rest of the page only changes with the state.
     const changed = mine.some((event) => event.kind !== "progress");
-    const due = Date.now() - last > 2000;
+    const due = Date.now() - last > Math.min(15_000, Math.max(2000, took / SHARE));
     if (changed || due) last = Date.now();
     update({ rendered: changed || due });
   },

@@ -55,6 +55,11 @@ export class Trials {
   }
 }
 
+// Complete, with a value, and of the real task: the values of easier versions don't compare with those of the task.
+export function answers(trial) {
+  return trial.state === "complete" && trial.value !== null && (trial.z === null || trial.z === 1);
+}
+
 function epoch(iso) {
   return iso === null ? null : Date.parse(iso) / 1000;
 }

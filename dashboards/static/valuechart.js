@@ -1,6 +1,7 @@
 // Value against trial, samples or time: every outcome, and the best so far.
 import { Chart, SYMBOLS, colour, counted } from "./chart.js";
 import { STATES, amount, number } from "./format.js";
+import { answers } from "./trials.js";
 
 const MOST = 2000;
 
@@ -33,7 +34,7 @@ export class ValueChart {
     const start = Math.min(...history.map((t) => t.started ?? Infinity));
     return history.map((trial) => {
       samples += trial.samples;
-      const isBest = trial.state === "complete" && trial.value !== null && trial.value > best;
+      const isBest = answers(trial) && trial.value > best;
       if (isBest) best = trial.value;
       const x = this.by === "trial" ? trial.number : this.by === "samples" ? samples : ((trial.finished ?? start) - start) / 60;
       return { trial, x, best: Number.isFinite(best) ? best : null, isBest };
@@ -63,8 +64,8 @@ export class ValueChart {
       if (!of.length) continue;
       traces.push({
         type: "scatter", mode: "markers", name: state, x: of.map((p) => p.x), y: of.map((p) => p.trial.value), customdata: of.map((p) => p.trial.number),
-        text: of.map((p) => `trial ${p.trial.number}<br>${this.value.title} ${number(p.trial.value)}<br>${amount(p.trial.samples)} samples`), hoverinfo: "text",
-        marker: { symbol: SYMBOLS[state], size: 7, color: colour(state === "cancelled" ? "queued" : state), opacity: 0.85, line: { width: 1.4, color: colour(state) } },
+        text: of.map((p) => `trial ${p.trial.number}<br>${this.value.title} ${number(p.trial.value)}${answers(p.trial) || state !== "complete" ? "" : `<br>difficulty ${number(p.trial.z, 3)} only`}<br>${amount(p.trial.samples)} samples`), hoverinfo: "text",
+        marker: { symbol: SYMBOLS[state], size: 7, color: colour(state === "cancelled" ? "queued" : state), opacity: of.map((p) => (p.trial.z === null || p.trial.z === 1 ? 0.85 : 0.35)), line: { width: 1.4, color: colour(state) } },
       });
     }
     // What ended without a value still cost something: a mark at the foot of the chart.

@@ -1,8 +1,9 @@
 // Why each trial was proposed: how many of each kind so far, and every proposal with the figures that decided it.
-import { Chart, SERIES, counted } from "./chart.js";
+import { Chart, counted, series } from "./chart.js";
 import { feature, number, stateText } from "./format.js";
 import { api } from "./live.js";
 import { element, setText } from "./plain.js";
+import { distance, distanceWords } from "./spaces.js";
 
 const NEWEST = 60;
 // What the figures of a proposal are, for people; others keep their own name.
@@ -45,13 +46,21 @@ export class Why {
     const { mode, predicted, ...figures } = this.infos.get(trial.number) ?? {};
     const kind = mode ?? trial.mode ?? trial.stage;
     const said = Object.entries(figures).filter(([, value]) => typeof value === "number" || typeof value === "string").map(([name, value]) => `${name.replaceAll("_", " ")} ${number(value, 3)}`);
+    // Four coordinates of a rotation tell nobody anything: how far it came from where it was expected does.
+    if (this.behaviour?.kind === "rotation" && Array.isArray(predicted) && predicted.length === 4 && trial.features) {
+      return this.#line(trial, kind, said, `came ${distanceWords(this.behaviour, distance(this.behaviour, predicted, trial.features))} from there`);
+    }
     const expected = Array.isArray(predicted) ? this.#behaviour(predicted) : typeof predicted === "number" ? number(predicted, 3) : "";
     const came = trial.state === "complete" ? (trial.features && Array.isArray(predicted) ? this.#behaviour(trial.features) : number(trial.value, 3)) : stateText(trial.state);
+    return this.#line(trial, kind, said, expected ? `${expected} → ${came}` : came);
+  }
+
+  #line(trial, kind, said, came) {
     return element("tr", { dataset: { number: trial.number } },
       element("td", { className: "num" }, element("a", { href: `${this.base}/trials/${trial.number}`, textContent: trial.number })),
       element("td", {}, element("span", { textContent: WORDS[kind] ?? kind }), ...(trial.warm_start === null ? [] : [element("span", { className: "faint", textContent: `, from the policy of trial ${trial.warm_start}` })])),
       element("td", { className: "faint", textContent: said.join(" · ") }),
-      element("td", { textContent: expected ? `${expected} → ${came}` : came }));
+      element("td", { textContent: came }));
   }
 
   #behaviour(features) { return features.map((value) => feature(value, this.behaviour?.kind === "rotation" ? "" : this.behaviour?.unit ?? "")).join(" "); }
@@ -67,7 +76,7 @@ export class Why {
       let count = 0;
       const y = all.map((trial) => ((trial.mode ?? trial.stage) === mode ? ++count : count));
       const keep = (list) => list.filter((_, i) => i % step === 0 || i === list.length - 1);
-      return { type: "scatter", mode: "lines", name: mode, x: keep(all.map((t) => t.number)), y: keep(y), line: { shape: "hv", width: 1.8, color: SERIES[index % SERIES.length] }, hoverinfo: "name+y" };
+      return { type: "scatter", mode: "lines", name: mode, x: keep(all.map((t) => t.number)), y: keep(y), line: { shape: "hv", width: 1.8, color: series(index) }, hoverinfo: "name+y" };
     });
     return { traces, ...axes };
   }

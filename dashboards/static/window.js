@@ -1,25 +1,32 @@
 // A window on the trials of a study: the service filters and sorts, and here are only the rows that somebody looks at.
 //
-// Rows come in blocks. While the study goes on, a frame changes rows that are here at once, and what it may have moved
-// is asked for again. An answer that was on its way when a frame came is older than the frame: the frame wins.
+// In the plain order a row's place follows from its number, so what the live events bring is put where it belongs and
+// nothing is asked for again: a hundred people who watch cost the service next to nothing. In every other order, and
+// under a filter, what may have moved is asked for again, the more rarely the longer the service takes.
+// An answer that was on its way when a frame came is older than the frame: the frame wins.
 import { api } from "./live.js";
 
 const BLOCK = 100;
-const KEPT = 24;
+const KEPT = 3000;
 const PATIENCE = 70;
-const LEAST_PAUSE = 800;
+const LEAST_PAUSE = 1000;
+// Share of the time that the service may be busy with what this page asks for again by itself.
+const SHARE = 0.05;
+const MOST_PAUSE = 15_000;
 const RECENT = 200;
 
 export class TrialWindow {
-  #blocks = new Map();
+  #rows = new Map();
   #asked = new Map();
   #turn = 0;
   #recent = [];
   #range = [0, BLOCK];
   #timer = 0;
   #again = 0;
-  #last = 0;
+  #last = -Infinity;
+  #took = 0;
   #moved = 0;
+  #countable = true;
 
   // `tell()` is called when rows, counts or the problem have changed.
   constructor(base, tell = () => {}) {
@@ -33,6 +40,11 @@ export class TrialWindow {
     return query;
   }
 
+  // Whether every row's place follows from its number.
+  get plain() { return this.#countable && /^-?number$/.test(this.sort) && !this.where.length && !this.states; }
+
+  #key(index) { return !this.plain || this.sort === "number" ? index : (this.count ?? 0) - 1 - index; }
+
   // Another order or filter: what is here stays to be seen until the answer comes.
   ask({ sort = this.sort, where = this.where, states = this.states }) {
     const before = String(this.query());
@@ -42,7 +54,9 @@ export class TrialWindow {
     this.#fetch();
   }
 
-  row(index) { return this.#blocks.get(Math.floor(index / BLOCK))?.rows[index % BLOCK] ?? null; }
+  row(index) { return this.shownQuery === undefined ? null : this.#rows.get(this.shownPlain ? this.#shownKey(index) : index)?.trial ?? null; }
+
+  #shownKey(index) { return this.shownSort === "number" ? index : (this.count ?? 0) - 1 - index; }
 
   // The rows that are seen. While somebody scrolls fast only the last of many ranges is asked for.
   want(first, last) {
@@ -60,13 +74,21 @@ export class TrialWindow {
     this.#asked.clear();
   }
 
+  #here(block) {
+    const end = Math.min((block + 1) * BLOCK, this.matched ?? Infinity);
+    if (this.matched === null || this.shownQuery !== String(this.query())) return false;
+    for (let index = block * BLOCK; index < end; index++) {
+      const known = this.#rows.get(this.#key(index));
+      if (!known || (!this.plain && known.turn !== this.#turn)) return false;
+    }
+    return true;
+  }
+
   #fetch() {
     clearTimeout(this.#timer);
     const [from, to] = [Math.floor(this.#range[0] / BLOCK), Math.floor(Math.max(this.#range[0], this.#range[1] - 1) / BLOCK)];
     for (const [block, asked] of this.#asked) if (block < from || block > to) { asked.abort(); this.#asked.delete(block); }
-    for (let block = from; block <= to; block++) {
-      if (!this.#asked.has(block) && this.#blocks.get(block)?.turn !== this.#turn) this.#get(block);
-    }
+    for (let block = from; block <= to; block++) if (!this.#asked.has(block) && !this.#here(block)) this.#get(block);
   }
 
   async #get(block) {
@@ -75,40 +97,52 @@ export class TrialWindow {
     const query = this.query();
     query.set("offset", block * BLOCK);
     query.set("limit", BLOCK);
+    const began = performance.now();
     try {
       const found = await api(`${this.base}/window?${query}`, { signal: asked.signal });
       if (asked.signal.aborted) return;
-      this.#take(block, found);
+      this.#took = performance.now() - began;
+      this.#take(found);
     } catch (error) {
       if (asked.signal.aborted) return;
       this.problem = error.message;
       // What can't be asked shows nothing rather than the rows of another question.
-      if (error.status === 422) { this.#blocks.clear(); this.matched = 0; }
+      if (error.status === 422) { this.#rows.clear(); this.matched = 0; }
     } finally {
       if (this.#asked.get(block) === asked) this.#asked.delete(block);
     }
     this.tell();
   }
 
-  #take(block, found) {
-    if (this.turnShown !== this.#turn) {
-      // The first answer to another question replaces all rows of the old one; one of the same question only its own.
-      if (this.shownQuery !== String(this.query())) this.#blocks.clear();
-      this.shownQuery = String(this.query());
-      this.turnShown = this.#turn;
-    }
-    this.#blocks.delete(block);
-    this.#blocks.set(block, { turn: this.#turn, rows: found.trials });
-    for (const key of this.#blocks.keys()) { if (this.#blocks.size <= KEPT) break; this.#blocks.delete(key); }
+  #take(found) {
+    // The first answer to another question replaces all rows of the old one.
+    if (this.shownQuery !== String(this.query())) { this.#rows.clear(); this.#countable = true; }
     Object.assign(this, { count: found.count, matched: found.matched, problem: "", position: { cursor: found.cursor, history: found.history } });
+    const plain = this.plain;
+    if (plain && found.trials.some((trial, at) => trial.number !== this.#key(found.offset + at))) {
+      this.#countable = false;
+      this.#rows.clear();
+    }
+    Object.assign(this, { shownQuery: String(this.query()), shownPlain: this.plain, shownSort: this.sort });
+    for (const [at, trial] of found.trials.entries()) {
+      const key = this.plain ? trial.number : found.offset + at;
+      this.#rows.delete(key);
+      this.#rows.set(key, { trial, turn: this.#turn });
+    }
+    for (const key of this.#rows.keys()) { if (this.#rows.size <= KEPT) break; this.#rows.delete(key); }
     for (const frame of this.#recent) if (frame.to > found.cursor) this.#change(frame.trials);
   }
 
   #change(trials) {
     const news = new Map(trials.map((trial) => [trial.number, trial]));
-    let found = 0;
-    for (const { rows } of this.#blocks.values()) for (const [at, row] of rows.entries()) if (news.has(row.number)) { rows[at] = news.get(row.number); found++; }
-    return found;
+    if (!this.shownPlain) {
+      for (const known of this.#rows.values()) if (news.has(known.trial.number)) known.trial = news.get(known.trial.number);
+      return;
+    }
+    for (const [number, trial] of [...news].sort(([a], [b]) => a - b)) {
+      if (number >= this.count) this.count = this.matched = number + 1;
+      this.#rows.set(number, { trial, turn: this.#turn });
+    }
   }
 
   // What a frame of the live events says.
@@ -116,28 +150,29 @@ export class TrialWindow {
     if (!frame.trials.length) return;
     this.#recent.push({ to: frame.to, trials: frame.trials });
     if (this.#recent.length > RECENT) this.#recent.shift();
+    if (this.count === null) return;
     this.#change(frame.trials);
     this.tell();
-    // In the plain order only a new trial moves rows; in every other one any change may.
-    const plain = /^-?number$/.test(this.sort) && !this.where.length && !this.states;
-    if (!plain || frame.trials.some((trial) => trial.number >= (this.count ?? 0))) this.refresh();
+    if (!this.plain) this.refresh();
   }
 
-  // Ask for the seen rows again, at most so often.
+  // Ask for the seen rows again.
   refresh() {
+    const pause = Math.min(MOST_PAUSE, Math.max(LEAST_PAUSE, this.#took / SHARE));
     this.#again ||= setTimeout(() => {
       this.#again = 0;
       this.#last = performance.now();
       this.#forget();
       this.#fetch();
-    }, Math.max(0, this.#last + LEAST_PAUSE - performance.now()));
+    }, Math.max(0, this.#last + pause - performance.now()));
   }
 
   // Everything may be different: another database, or a gap in the events.
   async reset() {
     this.#forget();
-    this.#blocks.clear();
+    this.#rows.clear();
     this.#recent = [];
+    this.shownQuery = undefined;
     await this.#get(Math.floor(this.#range[0] / BLOCK));
     if (this.problem) throw new Error(this.problem);
     this.#fetch();

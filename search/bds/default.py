@@ -96,7 +96,7 @@ class DiversityModel:
         """Take ``p x d`` points to show what the posterior expects; later proposals know of them."""
         if len(U):
             E = self.space.encode(U)
-            mean, _ = self.behaviour.posterior(E)
+            mean = self.behaviour.mean_at(E)
             self.behaviour = self.behaviour.with_data(
                 E, mean, float(np.mean(self.behaviour.noise)) if len(self.behaviour.X) else 1e-3
             )
@@ -236,7 +236,7 @@ def _next(
         )
     at = int(np.argmax(values))
     u = pool[at]
-    mean, _ = model.behaviour.posterior(space.encode(u[None, :]))
+    mean = model.behaviour.mean_at(space.encode(u[None, :]))
     return u, {
         "mode": "diversify",
         "inset": inset,

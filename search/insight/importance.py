@@ -120,7 +120,7 @@ def _losses(
     baseline, losses = np.empty(n), np.zeros((n, d))
     for f in range(fold.max() + 1):
         test, train = np.flatnonzero(fold == f), np.flatnonzero(fold != f)
-        rest = GaussianProcess(X[train], Y[train], process.w, process.amplitude, noise[train], process.mean)
+        rest = process.given(X[train], Y[train], noise[train])
         baseline[test] = np.square(rest.posterior(X[test])[0] - Y[test]).sum(1)
         for p in range(d):
             S = np.tile(X[test], (REPEATS, 1))

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from search.errors import BadParams
-from search.insight.surrogates import Subject, Surrogates, quietly
+from search.insight.surrogates import EVEN, Subject, Surrogates, quietly
 from search.quality.acquisition import log_expected_improvement
+from search.quality.cmfbo import to_beat
 from search.quality.model import imputed
 from search.space import Angle, Array, Categorical, Int, Scalar, Space
 from search.surrogate.gp import matern52
@@ -198,7 +199,7 @@ def slice_of(known: Surrogates, ask: Ask, names: tuple[str, ...] = ()) -> Slice:
         called,
         others,
         samples,
-        _notes(known, subject),
+        _notes(known, subject, ask.z),
     )
 
 
@@ -236,20 +237,23 @@ def _grid(space: Space, base: Array, x: Axis, y: Axis | None) -> Array:
 
 def _value(known: Surrogates, U: Array, z: float) -> tuple[Array, Array, Array | None, str]:
     """Mean, deviation and acquisition of the value in its own unit, ``m`` each."""
-    model, scale = known.value, known.value.scale
+    model = known.value_at(z)
+    scale = model.scale
     mean, sigma = model.posterior(U, z)
     natural = (mean + scale.trend * (z - 1)) * scale.spread + scale.middle
     acquisition, called = None, ""
     if known.is_own("value"):
-        at_top, deviation = (mean, sigma) if z == 1 else model.posterior(U, 1.0)
+        top = known.value_at(1.0)
+        scale_top = top.scale
+        at_top, deviation = (mean, sigma) if z == 1 else top.posterior(U, 1.0)
         if known.strategy.name == "cmfbo":
-            best = float(model.posterior(known.record.asked, 1.0)[0].max())
-            acquisition = np.exp(log_expected_improvement(at_top, deviation, best)) * scale.spread
+            best = to_beat(top, known.record.asked, 1.0)
+            acquisition = np.exp(log_expected_improvement(at_top, deviation, best)) * scale_top.spread
             called = "expected improvement at z = 1"
         else:
             t = len(known.record.asked) + 1
             root = math.sqrt(known.strategy.settings.beta * known.space.d * math.log(2 * t + 1))
-            acquisition = (at_top + root * deviation) * scale.spread + scale.middle
+            acquisition = (at_top + root * deviation) * scale_top.spread + scale_top.middle
             called = "upper confidence bound at z = 1"
     return natural, sigma * scale.spread, acquisition, called
 
@@ -267,6 +271,8 @@ def _behaviour(known: Surrogates, U: Array, output: str, feature: int) -> tuple[
         parts = [_novelty(known, E[i : i + CHUNK], normals) for i in range(0, len(E), CHUNK)]
         mean, deviation = (np.concatenate(side) for side in zip(*parts, strict=True))
         if known.is_own("behaviour"):
+            if not getattr(known.strategy.settings, "feasibility", True):
+                return mean, deviation, mean, "expected novelty"
             return mean, deviation, mean * feasible, "expected novelty x probability to be feasible"
         return mean, deviation, None, ""
     posterior, variance = model.behaviour.posterior(E)
@@ -329,7 +335,7 @@ def _nearest(
         if side is not None:
             i = space.names.index(side.name)
             foot[:, i] = record.X[:, i]
-    w = known.process(subject).w
+    w = known.process(subject, z).w
     gap = (space.encode(record.X) - space.encode(foot)) * w[: space.e]
     square = np.square(gap).sum(1)
     if subject == "value":
@@ -339,23 +345,45 @@ def _nearest(
     return tuple(Shown(int(i), float(observed[i]), float(near[i])) for i in chosen)
 
 
-def _notes(known: Surrogates, subject: Subject) -> tuple[str, ...]:
-    notes = []
-    if known.is_own(subject):
-        notes.append(f"The surrogate that {known.strategy.name} proposes from.")
-    else:
-        notes.append(
-            f"A surrogate fitted for looking: {known.strategy.name} does not propose from one of the {subject}."
-        )
+def _notes(known: Surrogates, subject: Subject, z: float) -> tuple[str, ...]:
+    notes = [_whose(known, subject)]
+    of = known.record.n
+    if subject == "value" and known.values[1] is not None:
+        probability = known.values[2]
+        alone = known.value_at(z) is known.values[1]
+        if alone:
+            of = int((known.record.z == 1).sum())
+            notes.append(
+                f"It is of z = 1 alone: easier levels help to predict it with a probability of {probability:.0%} only."
+            )
+        elif probability >= EVEN:
+            notes.append(
+                f"Easier levels are in it: they help to predict z = 1 with a probability of {probability:.0%}."
+            )
+        else:
+            notes.append(
+                f"Easier levels are in it because one is shown; at z = 1 they help with a probability of "
+                f"{probability:.0%} only, and are left out there."
+            )
     if subject == "value" and not known.record.complete.all():
         worst = float(np.min(imputed(known.record)))
         notes.append(f"Trials that failed count as the worst value seen, {worst:.4g}.")
-    conditioned, n = len(known.process(subject).X), known.record.n
-    if conditioned < n and subject == "value":
-        notes.append(f"It stands on {conditioned} of {n} observations: the best of them, and others spread out.")
+    conditioned, n = len(known.process(subject, z).X), known.record.n
+    if conditioned < of and subject == "value":
+        notes.append(f"It stands on {conditioned} of {of} observations: the best of them, and others spread out.")
     if n > MOST_SAMPLES:
         notes.append(f"The {MOST_SAMPLES} observations nearest to the slice are shown, of {n}.")
     return tuple(notes)
+
+
+def _whose(known: Surrogates, subject: Subject) -> str:
+    """Whether the study's search proposes from this surrogate."""
+    name = known.strategy.name
+    if known.is_own(subject):
+        return f"The surrogate that {name} proposes from."
+    if known.models(subject):
+        return f"A surrogate fitted for looking: {name} as published proposes from one that is fitted in another way."
+    return f"A surrogate fitted for looking: {name} does not propose from one of the {subject}."
 
 
 def foot_of(space: Space, params: Mapping[str, Scalar], name: str) -> Scalar:

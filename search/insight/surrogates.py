@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from search.bds.default import DiversityModel, fit_models
+from search.quality.cmfbo import CMFBO
 from search.quality.model import ValueModel, fit_values
 from search.record import Record
 from search.space import Array, Space
@@ -25,6 +26,8 @@ MODELS_BEHAVIOUR = frozenset({"bds", "novelty"})
 """Strategies whose surrogate is of the behaviour."""
 MODELS_VALUE = frozenset({"cmfbo", "gp_ucb", "boca"})
 """Strategies whose surrogate is of the value."""
+EVEN = 0.5
+"""Probability from which a surrogate is the likelier of two."""
 
 
 class Surrogates:
@@ -49,10 +52,13 @@ class Surrogates:
             return "value"
         return "behaviour"
 
+    def models(self, subject: Subject) -> bool:
+        """Whether the study's strategy proposes from a surrogate of that output."""
+        return self.strategy.name in (MODELS_VALUE if subject == "value" else MODELS_BEHAVIOUR)
+
     def is_own(self, subject: Subject) -> bool:
-        """Whether the study's strategy proposes from such a surrogate (and not a published form of its own)."""
-        names = MODELS_VALUE if subject == "value" else MODELS_BEHAVIOUR
-        return self.strategy.name in names and getattr(self.strategy.settings, "variant", "default") == "default"
+        """Whether it proposes from the one that is shown (and not from a published form of its own)."""
+        return self.models(subject) and getattr(self.strategy.settings, "variant", "default") == "default"
 
     @property
     def has_values(self) -> bool:
@@ -65,12 +71,22 @@ class Surrogates:
         return bool(self.record.known.any())
 
     @cached_property
-    def value(self) -> ValueModel:
-        """Of the value over parameters and difficulty. Failures count as the worst value seen."""
+    def values(self) -> tuple[ValueModel, ValueModel | None, float]:
+        """Of the value: over parameters and difficulty; at z = 1 alone, or None; how likely the first is the better.
+
+        Failures count as the worst value seen. Only `cmfbo` holds a model of z = 1 alone against the other.
+        """
         d = self.space.d
         length = 0.5 * math.sqrt(d / 2 if self.strategy.name in {"gp_ucb", "boca"} else max(1.0, d / 2))
         with quietly():
-            return ValueModel(self.space, self.record, fit_values(self.space, self.record, length, 1.0))
+            if isinstance(self.strategy, CMFBO) and self.is_own("value"):
+                return self.strategy.surrogates(self.record)
+            return ValueModel(self.space, self.record, fit_values(self.space, self.record, length, 1.0)), None, 1.0
+
+    def value_at(self, z: float) -> ValueModel:
+        """The likelier surrogate of the value at a difficulty; below 1 the one that knows of difficulties."""
+        joint, alone, probability = self.values
+        return joint if alone is None or z < 1 or probability >= EVEN else alone
 
     @cached_property
     def behaviour(self) -> DiversityModel:
@@ -79,9 +95,9 @@ class Surrogates:
             fitted = fit_models(self.space, self.strategy.metric, self.record)
             return DiversityModel(self.space, self.strategy.metric, self.record, fitted, feasibility=True)
 
-    def process(self, subject: Subject) -> GaussianProcess:
-        """The Gaussian process behind a surrogate."""
-        return self.value.gp if subject == "value" else self.behaviour.behaviour
+    def process(self, subject: Subject, z: float = 1.0) -> GaussianProcess:
+        """The Gaussian process behind a surrogate; of the value, at difficulty z."""
+        return self.value_at(z).gp if subject == "value" else self.behaviour.behaviour
 
     def lengths(self, subject: Subject) -> Array:
         """Length scale of each parameter, ``d``, in ranges of the parameter (unit coordinates)."""

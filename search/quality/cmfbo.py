@@ -36,7 +36,7 @@ from search.quality.acquisition import log_ei_gradient, log_expected_improvement
 from search.quality.budget import CostModel, spent
 from search.quality.gp_ucb import best_points
 from search.quality.model import ValueModel, fit_values
-from search.record import Candidate, Observation, Record
+from search.record import Candidate, Observation, Record, with_warnings
 from search.settings import setting
 from search.space import Array, Space
 from search.strategy import Strategy
@@ -88,10 +88,7 @@ class CMFBO(Strategy):
                 found = cmfbo_published.propose(self.space, record, count, rng, self.settings)
             else:
                 found = self._default(record, count, rng)
-        told = sorted({str(w.message) for w in caught if issubclass(w.category, IllConditioned)})
-        if told:
-            found = [Candidate(c.params, c.z, c.warm_start, {**c.info, "warnings": told}) for c in found]
-        return found
+        return with_warnings(found, sorted({str(w.message) for w in caught if issubclass(w.category, IllConditioned)}))
 
     def recommend(self, history: Sequence[Observation]) -> int | None:
         """The best at z = 1; as published, the best at any difficulty."""
@@ -108,25 +105,28 @@ class CMFBO(Strategy):
         if kept is None or kept[0] != key:
             length = 0.5 * math.sqrt(max(1.0, self.space.d / 2))
             kept = self._fitted[which] = (key, fit_values(self.space, record.first(m), length, FIDELITY_LENGTH))
+        for said in kept[1].warnings:  # told with each proposal that stands on it, kept or new
+            warnings.warn(said, IllConditioned, stacklevel=2)
         return kept[1]
 
-    def _model(self, record: Record, rng: np.random.Generator) -> tuple[ValueModel, bool]:
-        """The surrogate, and whether easy levels are in it.
+    def surrogates(self, record: Record) -> tuple[ValueModel, ValueModel | None, float]:
+        """What the default variant proposes from, pending trials not yet believed.
 
-        Two models stand against each other: one of all difficulties, one of z = 1 alone. Each is chosen with its
-        probability given the observations at z = 1, each of which it predicts from all others it knows (leave one
-        out). So misleading easy levels are dropped in the measure in which they are seen to mislead.
+        Two models stand against each other: one of all difficulties, one of z = 1 alone. Proposals are made from one
+        of them, drawn with its probability given the observations at z = 1, each of which it predicts from all others
+        it knows (leave one out). So misleading easy levels are dropped in the measure in which they mislead.
+
+        Returns:
+            The joint model, that of z = 1 alone or None where there is nothing to decide, the probability of the first.
         """
         joint = ValueModel(self.space, record, self._fit(record, "joint"))
         top = record.z == 1
         if not self.settings.gate or top.sum() < GATE or top.all():
-            return joint, True
+            return joint, None, 1.0
         above = record.only(top)
         alone = ValueModel(self.space, above, self._fit(above, "alone"))
         odds = PRIOR_ODDS + joint.log_density_at_top() - alone.log_density_at_top()
-        if rng.random() < 1 / (1 + math.exp(float(np.clip(-odds, -50, 50)))):
-            return joint, True
-        return alone, False
+        return joint, alone, 1 / (1 + math.exp(float(np.clip(-odds, -50, 50))))
 
     def _default(self, record: Record, count: int, rng: np.random.Generator) -> list[Candidate]:
         s = self.settings
@@ -135,7 +135,8 @@ class CMFBO(Strategy):
         at_top = self._paid_at_top(record, costs)
         budget = math.inf if s.cost_budget is None else s.cost_budget
         start = self.space.d + 1 if s.start is None else s.start
-        model, informative = self._model(record, rng)
+        joint, alone, probability = self.surrogates(record)
+        model, informative = (joint, True) if alone is None or rng.random() < probability else (alone, False)
         free = self._easy_phase(costs) if informative else 0.0
         model.believe(record.pending, record.pending_z)
         found: list[Candidate] = []
@@ -180,14 +181,11 @@ class CMFBO(Strategy):
     def _where(self, model: ValueModel, record: Record, z: float, rng: np.random.Generator) -> tuple[Array, float]:
         """Argmax of the expected improvement at one difficulty, over the best evaluated there or above.
 
-        Believed values count as evaluated ones do. Where there are none, the bar is so low that the highest mean wins.
+        Believed values count as evaluated ones do.
         """
         rows = record.asked
-        mean = model.posterior(rows, z)[0] if len(rows) else np.zeros(0)
-        done = model.gp.X[model.gp.X[:, -1] >= z - 1e-9].copy()
-        done[:, -1] = z
-        bar = float(mean.max()) - 3.0 if len(rows) else 0.0
-        best = float(model.gp.posterior(done)[0].max()) if len(done) else bar
+        mean = model.mean_at(rows, z)
+        best = to_beat(model, rows, z)
         believed = rows[np.argsort(-mean, kind="stable")[:3]]
         around = np.unique(np.concatenate([best_points(record, 3), believed]), axis=0)
 
@@ -217,6 +215,23 @@ class CMFBO(Strategy):
         correlation = model.gp.kinship(here, there)[0]
         best = int(np.argmax(correlation))
         return int(rows[best]) if correlation[best] >= PARENT else None
+
+
+def to_beat(model: ValueModel, asked: Array, z: float) -> float:
+    """What expected improvement at difficulty z is over: the largest posterior mean among what was evaluated there.
+
+    Evaluations above z count as well. Where there are none, it is so low that the highest mean wins.
+
+    Args:
+        model: the surrogate.
+        asked: ``m x d`` points asked for at any difficulty.
+        z: the difficulty.
+    """
+    done = model.gp.X[model.gp.X[:, -1] >= z - 1e-9].copy()
+    done[:, -1] = z
+    if len(done):
+        return float(model.gp.mean_at(done).max())
+    return float(model.mean_at(asked, z).max()) - 3.0 if len(asked) else 0.0
 
 
 FIDELITY_LENGTH = 1.0

@@ -9,6 +9,11 @@ best evaluation so far; z_t progresses from easy to hard: it is the lowest diffi
 at x_t is still above epsilon = 0.02, in the unit of the values. Algorithm 4: the training at (x_t, z_t) starts from the
 policy of the evaluation whose kernel correlation with it is highest. The answer is the best value over all evaluations,
 of whatever difficulty.
+
+What the paper leaves open is settled as follows. The search starts with d + 1 Sobol points at the lowest difficulty, as
+the other searches here do at theirs. It can't start with one: where all evaluations share their x, the gradients of mu
+and sigma in x are zero there, L-BFGS begins there, and the same x is asked for ever. Trials that failed or are pending
+are believed to have shown the posterior mean.
 """
 
 from __future__ import annotations
@@ -21,6 +26,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
+from search.designs import next_sobol
 from search.quality.budget import CostModel, spent
 from search.quality.fidelity import ProductProcess
 from search.record import Candidate, Record
@@ -75,8 +81,8 @@ def _fit_botorch(X: Array, z: Array, y: Array) -> tuple[Array, float, float]:
         fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model))
     product = model.covar_module.base_kernel
     lengths = [k.lengthscale.detach().reshape(-1).numpy() for k in product.kernels]
-    scale = float(model.covar_module.outputscale)
-    return 1 / np.concatenate(lengths), math.sqrt(scale), float(model.likelihood.noise) / scale
+    scale = float(model.covar_module.outputscale.detach())
+    return 1 / np.concatenate(lengths), math.sqrt(scale), float(model.likelihood.noise.detach()) / scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,13 +120,15 @@ def propose(space: Space, record: Record, count: int, rng: np.random.Generator, 
     costs = CostModel(record)
     paid = spent(record, costs)
     budget = math.inf if settings.cost_budget is None else settings.cost_budget
+    start = space.d + 1 if settings.start is None else settings.start
     model = make_model(record)
     gp: GaussianProcess = model.gp
     found: list[Candidate] = []
+    asked = record.asked
     while len(found) < count and paid < budget:
-        t = len(record.asked) + len(found)
-        if t == 0:
-            u, z = rng.random(space.d), float(LEVELS[0])
+        t = len(asked)
+        if t < start:
+            u, z = next_sobol(space, asked, 1, settings.seed)[0], float(LEVELS[0])
         else:
             u = _where(gp, space, record, t, rng)
             _, variance = gp.posterior(np.column_stack([np.tile(u, (len(LEVELS), 1)), LEVELS]))
@@ -129,12 +137,13 @@ def propose(space: Space, record: Record, count: int, rng: np.random.Generator, 
             above = np.flatnonzero(deviation > EPSILON)
             z = float(LEVELS[above[0]]) if len(above) else 1.0
         u = space.snap(u[None, :])[0]
-        info: dict[str, Any] = {"mode": "ucb" if t else "start"}
+        info: dict[str, Any] = {"mode": "start" if t < start else "ucb"}
         if model.told:
             info["warnings"] = list(model.told)
         found.append(Candidate(space.from_unit(u), z, _parent(gp, record, u, z), info))
         point = np.append(u, z)[None, :]
         gp = gp.with_data(point, gp.posterior(point)[0], float(np.mean(gp.noise)) if len(gp.X) else 1e-3)
+        asked = np.concatenate([asked, u[None, :]])
         paid += costs.at(z)
     return found
 

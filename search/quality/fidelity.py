@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
@@ -77,18 +78,9 @@ class FidelityProcess(ProductProcess):
         """1 and the trend's share, ``m``."""
         return np.asarray(1 + TREND * (S[:, -1] - self.centre) ** 2)
 
-    def with_data(self, X: Array, Y: Array, noise: float | Array) -> FidelityProcess:
-        """The same hyperparameters with more data, ``p x (e + 1)`` and ``p x k``."""
-        more = np.broadcast_to(np.asarray(noise, dtype=float), (len(X),))
-        return FidelityProcess(
-            np.concatenate([self.X, X]),
-            np.concatenate([self.Y, Y]),
-            self.w,
-            self.amplitude,
-            np.concatenate([self.noise, more]),
-            self.mean,
-            self.centre,
-        )
+    def given(self, X: Array, Y: Array, noise: float | Array) -> Self:
+        """The same hyperparameters with other data, ``p x (e + 1)`` and ``p x k``."""
+        return type(self)(X, Y, self.w, self.amplitude, noise, self.mean, self.centre)
 
 
 def _matern_and_slope(square: Array) -> tuple[Array, Array]:

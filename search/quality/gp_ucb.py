@@ -13,10 +13,11 @@ from search.designs import next_sobol
 from search.quality.acquisition import maximise
 from search.quality.budget import CostModel, spent
 from search.quality.model import ValueModel, fit_values
-from search.record import Candidate, Observation, Record, read_record
+from search.record import Candidate, Observation, Record, read_record, with_warnings
 from search.settings import setting
 from search.space import Array
 from search.strategy import Strategy
+from search.surrogate.fit import Fit
 from search.surrogate.gp import IllConditioned, matern52
 from search.surrogate.threads import one_thread
 
@@ -69,11 +70,10 @@ class GPUCB(Strategy):
         else:
             points = np.empty((0, self.space.d))
         found = [self.candidate(u, mode="start") for u in points]
-        with one_thread(), warnings.catch_warnings():
-            warnings.simplefilter("ignore", IllConditioned)
-            model = ValueModel(
-                self.space, record, fit_values(self.space, record, 0.5 * math.sqrt(self.space.d / 2), 1.0)
-            )
+        with one_thread(), warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", IllConditioned)
+            fitted = fit_values(self.space, record, 0.5 * math.sqrt(self.space.d / 2), 1.0)
+            model = ValueModel(self.space, record, fitted)
             model.believe(np.concatenate([record.pending, points]), np.ones(len(record.pending) + len(points)))
             while len(found) < count:
                 t = len(asked) + len(found) + 1
@@ -82,7 +82,12 @@ class GPUCB(Strategy):
                 )
                 found.append(self.candidate(u, mode="ucb", acquisition=value))
                 model.believe(u[None, :], np.ones(1))
-        return found
+        return with_warnings(found, _told(caught, fitted))
+
+
+def _told(caught: Sequence[warnings.WarningMessage], fitted: Fit) -> list[str]:
+    """What went wrong on the way to a proposal, for the record."""
+    return [*sorted({str(w.message) for w in caught if issubclass(w.category, IllConditioned)}), *fitted.warnings]
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +124,8 @@ class BOCA(Strategy):
         levels = (np.arange(s.levels) + 1) / s.levels
         found: list[Candidate] = []
         n = len(record.asked)
-        with one_thread(), warnings.catch_warnings():
-            warnings.simplefilter("ignore", IllConditioned)
+        with one_thread(), warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", IllConditioned)
             fitted = fit_values(self.space, record, 0.5 * math.sqrt(self.space.d / 2), 1.0)
             model = ValueModel(self.space, record, fitted)
             model.believe(record.pending, record.pending_z)
@@ -136,7 +141,7 @@ class BOCA(Strategy):
                 found.append(Candidate(self.space.from_unit(u), z=z, info={"mode": mode}))
                 left -= costs.at(z)
                 model.believe(u[None, :], np.array([z]))
-        return found
+        return with_warnings(found, _told(caught, fitted))
 
     def recommend(self, history: Sequence[Observation]) -> int | None:
         """The observation whose parameters have the largest posterior mean at z = 1, wherever they were asked."""
@@ -148,7 +153,7 @@ class BOCA(Strategy):
             model = ValueModel(
                 self.space, record, fit_values(self.space, record, 0.5 * math.sqrt(self.space.d / 2), 1.0)
             )
-            mean = model.posterior(record.X, 1.0)[0]
+            mean = model.mean_at(record.X, 1.0)
         return int(np.argmax(np.where(record.complete, mean, -np.inf)))
 
     def _difficulty(self, model: ValueModel, u: Array, levels: Array, costs: CostModel, w: float) -> float:

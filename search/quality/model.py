@@ -108,6 +108,10 @@ class ValueModel:
         mean, variance = self.gp.posterior(self.coordinates(U, z))
         return mean[:, 0], self.gp.amplitude[0] * np.sqrt(variance)
 
+    def mean_at(self, U: Array, z: Array | float) -> Array:
+        """Mean alone, ``m``, in standardised residuals."""
+        return self.gp.mean_at(self.coordinates(U, z))[:, 0]
+
     def gradient(self, u: Array, z: float) -> tuple[float, float, Array, Array]:
         """Mean, deviation and their gradients ``d`` at one point ``d``."""
         at = self.coordinates(u[None, :], z)[0]
@@ -122,7 +126,7 @@ class ValueModel:
         """Take ``p x d`` points at difficulties ``p`` to show what the posterior expects."""
         if len(U):
             XZ = self.coordinates(U, z)
-            self.gp = self.gp.with_data(XZ, self.gp.posterior(XZ)[0], self.noise)
+            self.gp = self.gp.with_data(XZ, self.gp.mean_at(XZ), self.noise)
 
     def informed(self, u: Array, levels: Array) -> Array:
         """Share of the variance at (u, 1) that an observation at each of ``L`` difficulties takes away, in [0, 1]."""

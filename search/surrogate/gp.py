@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ JITTERS = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
 
 
 class IllConditioned(UserWarning):
-    """A correlation matrix needed more jitter than rounding explains."""
+    """A correlation matrix needed more jitter than rounding explains, or hyperparameters could not be fitted."""
 
 
 def scaled_distance(A: Array, B: Array, w: Array) -> Array:
@@ -96,10 +97,16 @@ class GaussianProcess:
     def posterior(self, S: Array) -> tuple[Array, Array]:
         """Mean ``m x k`` and latent variance relative to the amplitude's square, ``m``."""
         if not len(self.X):
-            return np.tile(self.mean, (len(S), 1)), self.prior_variance(S)
+            return self.mean_at(S), self.prior_variance(S)
         k = self.correlation(S)
         V = solve_triangular(self.L, k.T, lower=True, check_finite=False)
         return k @ self.alpha + self.mean, np.maximum(self.prior_variance(S) - (V * V).sum(0), 1e-12)
+
+    def mean_at(self, S: Array) -> Array:
+        """The posterior's mean alone, ``m x k``: without its variance many points cost neither time nor memory."""
+        if not len(self.X):
+            return np.tile(self.mean, (len(S), 1))
+        return np.asarray(self.correlation(S) @ self.alpha + self.mean)
 
     def leave_one_out(self) -> tuple[Array, Array]:
         """Each datum predicted from all the others: mean ``n x k`` and variance, noise included, relative, ``n``.
@@ -130,14 +137,11 @@ class GaussianProcess:
         variance = max(1 - float(k @ beta), 1e-12)
         return self.mean + k @ self.alpha, variance, self.alpha.T @ dk, -2 * beta @ dk
 
-    def with_data(self, X: Array, Y: Array, noise: float | Array) -> GaussianProcess:
+    def given(self, X: Array, Y: Array, noise: float | Array) -> Self:
+        """The same hyperparameters with other data, ``p x e`` and ``p x k``."""
+        return type(self)(X, Y, self.w, self.amplitude, noise, self.mean)
+
+    def with_data(self, X: Array, Y: Array, noise: float | Array) -> Self:
         """The same hyperparameters with more data, ``p x e`` and ``p x k``."""
         more = np.broadcast_to(np.asarray(noise, dtype=float), (len(X),))
-        return type(self)(
-            np.concatenate([self.X, X]),
-            np.concatenate([self.Y, Y]),
-            self.w,
-            self.amplitude,
-            np.concatenate([self.noise, more]),
-            self.mean,
-        )
+        return self.given(np.concatenate([self.X, X]), np.concatenate([self.Y, Y]), np.concatenate([self.noise, more]))

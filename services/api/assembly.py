@@ -6,16 +6,19 @@ from collections.abc import Callable, Collection, Mapping
 
 from fastapi import FastAPI
 
-from services.api import health, insights, monitoring, pulse, reference, routes, sockets
+from services.api import health, insights, monitoring, pulse, reference, routes, sockets, trials
+from services.api.distinct import Distinct
 from services.api.errors import add_error_handlers
 from services.api.guard import Guard, Hosts
 from services.api.live import Hub
 from services.api.looks import Looks
-from services.api.service import Artifacts, Service, Submit, halma_version
+from services.api.parameters import ERRORS
+from services.api.service import Artifacts, Service, Submit
 from services.api.tables import FinishedTrials
 from services.api.windows import Finder
 from services.auth import Gatekeeper
 from services.store.port import Store
+from services.version import halma_version
 
 HEALTH = frozenset({"/healthz", "/readyz"})
 
@@ -52,24 +55,26 @@ def create_api(
         docs_url=None,
         redoc_url=None,
     )
-    trials = FinishedTrials(store)
+    finished = FinishedTrials(store)
     app.state.service = Service(
         store,
         artifacts,
         submit,
         on_change or (lambda: None),
         Hub(store),
-        trials,
-        Finder(store, trials),
-        Looks(store, trials),
+        finished,
+        Finder(store, finished),
+        Distinct(store),
+        Looks(store, finished),
         dict(pools or {}),
     )
     add_error_handlers(app)
     app.include_router(routes.router)
+    app.include_router(trials.router)
     app.include_router(insights.router)
-    app.include_router(monitoring.router, responses=routes.ERRORS)
-    app.include_router(pulse.router, responses=routes.ERRORS)
-    app.include_router(reference.router, responses=routes.ERRORS)
+    app.include_router(monitoring.router, responses=ERRORS)
+    app.include_router(pulse.router, responses=ERRORS)
+    app.include_router(reference.router, responses=ERRORS)
     app.include_router(sockets.router)
     app.include_router(health.router)
     app.add_middleware(Guard, gate=gate, hosts=Hosts.of_this_machine(hosts), open_paths=HEALTH | frozenset(open_paths))

@@ -41,14 +41,34 @@ class NotHere(HalmaError):
     """There is no such thing (artifact, route); the message says what there is."""
 
 
+class TooOften(HalmaError):
+    """Something costly is asked for again and again.
+
+    Args:
+        message: what, and when it goes on.
+        seconds: until it is answered again.
+    """
+
+    def __init__(self, message: str, seconds: int) -> None:
+        super().__init__(message)
+        self.seconds = seconds
+
+
 def status_of(error: HalmaError) -> int:
     """Status code of an error, by the nearest class of its tree."""
     if isinstance(error, NotHere):
         return 404
+    if isinstance(error, TooOften):
+        return 429
     for kind in type(error).__mro__:
         if kind in STATUS:
             return STATUS[kind]
     return 500
+
+
+def headers_of(error: HalmaError) -> Mapping[str, str]:
+    """What the headers tell of an error."""
+    return {"retry-after": str(error.seconds)} if isinstance(error, TooOften) else {}
 
 
 def body_of(error: HalmaError) -> ErrorBody:
@@ -83,7 +103,7 @@ def add_error_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(HalmaError)
     async def on_halma_error(_: Request, error: HalmaError) -> JSONResponse:
-        return answer(status_of(error), body_of(error))
+        return answer(status_of(error), body_of(error), headers_of(error))
 
     @app.exception_handler(RequestValidationError)
     async def on_invalid_request(_: Request, error: RequestValidationError) -> JSONResponse:

@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query
 
-from services.api.insight_models import (
+from services.api.cursors import PageCursor, key_of, page_of
+from services.api.models import (
     Curve,
     CurveList,
     EdgeOut,
@@ -19,7 +20,7 @@ from services.api.insight_models import (
     NodeOut,
     SliceOut,
 )
-from services.api.routes import ERRORS, LARGEST_ID, Study
+from services.api.parameters import ERRORS, Study
 from services.api.service import Service, Uses
 from services.errors import BadInput
 from services.store.port import MetricRow, TrialRow
@@ -31,8 +32,7 @@ MOST_CURVES = 20
 MOST_POINTS = 1000
 """Points of one curve at most; a longer one is thinned evenly, its last point kept."""
 
-Page = Annotated[int, Query(ge=1, le=10_000, description="at most so many")]
-AfterNumber = Annotated[int, Query(ge=-1, le=LARGEST_ID, description="cursor: the last number already known")]
+Most = Annotated[int, Query(ge=1, le=10_000, description="at most so many")]
 Name = Annotated[str | None, Query(max_length=200)]
 
 
@@ -84,14 +84,15 @@ async def importance(
 
 
 @router.get("/studies/{study}/ladder")
-def ladder(service: Uses, study: Study, after: AfterNumber = -1, limit: Page = 2000) -> Ladder:
+def ladder(service: Uses, study: Study, page: PageCursor = None, limit: Most = 2000) -> Ladder:
     """Difficulty against trial, and what each level cost. Without levels where the study has no difficulty."""
     from services.fidelity import levels, point  # noqa: PLC0415 - beside its only use
 
     trials = service.trials.all_trials(service.store.study(study))
     found = levels(trials)
+    after = -1 if page is None else key_of("ladder", page, int)[0]
     shown = [trial for trial in trials if trial.number > after] if found else []
-    rows, following = _page(shown, limit)
+    rows, following = page_of(shown, limit, "ladder", lambda trial: (trial.number,))
     return Ladder(
         levels=[LevelOut(**level) for level in found],
         points=[LadderPoint.model_validate(point(trial)) for trial in rows],
@@ -99,18 +100,13 @@ def ladder(service: Uses, study: Study, after: AfterNumber = -1, limit: Page = 2
     )
 
 
-def _page(trials: list[TrialRow], limit: int) -> tuple[list[TrialRow], int | None]:
-    """The first `limit` trials, and the cursor of what follows."""
-    return trials[:limit], trials[limit - 1].number if len(trials) > limit else None
-
-
 @router.get("/studies/{study}/lineage")
-def lineage(service: Uses, study: Study, after: AfterNumber = -1, limit: Page = 2000) -> Lineage:
+def lineage(service: Uses, study: Study, page: PageCursor = None, limit: Most = 2000) -> Lineage:
     """Which trials were warm-started from which. Trials without relatives are left out."""
     trials = service.trials.all_trials(service.store.study(study))
-    children, following = _page(
-        [trial for trial in trials if trial.warm_start is not None and trial.number > after], limit
-    )
+    after = -1 if page is None else key_of("lineage", page, int)[0]
+    started = [trial for trial in trials if trial.warm_start is not None and trial.number > after]
+    children, following = page_of(started, limit, "lineage", lambda trial: (trial.number,))
     edges = [EdgeOut(parent=trial.warm_start, child=trial.number) for trial in children if trial.warm_start is not None]
     related = {number for edge in edges for number in (edge.parent, edge.child)}
     nodes = [

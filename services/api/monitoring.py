@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 
 from fastapi import APIRouter, Response
-from pydantic import Field
 
-from services.api.models import Model, Position
+from services.api.cursors import PageCursor, after_key, page_of
+from services.api.models import BusyOut, ClusterOut, PoolOut, QueueOut, ShareOut, WorkerList, WorkerOut
+from services.api.parameters import Limit
 from services.api.service import Service, Uses
 from services.states import AttemptState, StudyState, TrialState
 from services.store.port import StudyRow
@@ -22,52 +22,22 @@ TEXT_FORMAT = "text/plain; version=0.0.4; charset=utf-8"
 """Prometheus' text exposition format."""
 
 
-class WorkerOut(Model):
-    """An attempt that runs now, and who runs it."""
-
-    pool: str
-    worker: str
-    host: str
-    pid: int | None
-    study: str
-    trial: int
-    attempt: int
-    iteration: int
-    samples: int
-    seconds: float
-    samples_per_second: float | None
-    started_at: datetime
-    beat_at: datetime
-
-
-class QueueOut(Model):
-    """A study that has a claim on workers."""
-
-    study: str
-    state: StudyState
-    pool: str
-    priority: int
-    parallel: int
-    running: int
-    queued: int
-
-
-class WorkerList(Position):
-    """Who is doing what, and what waits."""
-
-    workers: list[WorkerOut]
-    queue: list[QueueOut]
-
-
 @router.get("/api/v1/workers", tags=["service"])
-def workers(service: Uses) -> WorkerList:
-    """Attempts that run now, by pool and worker; and the studies that are queued or running, highest priority first."""
+def workers(service: Uses, page: PageCursor = None, limit: Limit = 200) -> WorkerList:
+    """Attempts that run now, by pool and worker, a page at a time; and all studies that are queued or running."""
     cursor, history = service.store.last_event(), service.store.history_id()
     studies = [row for row in service.store.studies() if row.state in {StudyState.QUEUED, StudyState.RUNNING}]
     running = [worker for row in studies for worker in _running(service, row)]
-    running.sort(key=lambda worker: (worker.pool, worker.worker, worker.study, worker.trial))
+    running.sort(key=_place)
     studies.sort(key=lambda row: (-row.priority, row.id))
-    return WorkerList(cursor=cursor, history=history, workers=running, queue=[_queued(row) for row in studies])
+    behind = after_key(running, "workers", page, _place, str, str, str, int)
+    shown, following = page_of(behind, limit, "workers", _place)
+    queue = [_queued(row) for row in studies]
+    return WorkerList(cursor=cursor, history=history, workers=list(shown), queue=queue, next=following)
+
+
+def _place(worker: WorkerOut) -> tuple[str, str, str, int]:
+    return worker.pool, worker.worker, worker.study, worker.trial
 
 
 def _running(service: Service, row: StudyRow) -> Iterator[WorkerOut]:
@@ -107,42 +77,6 @@ def _queued(row: StudyRow) -> QueueOut:
     )
 
 
-class PoolOut(Model):
-    """A worker pool."""
-
-    name: str
-    cores: float | None = Field(description="none where this server doesn't know the pool")
-    held: float = Field(description="cores that running attempts hold")
-    running: int
-    queued: int
-
-
-class BusyOut(WorkerOut):
-    """An attempt that runs now, with what its process holds."""
-
-    cores: float
-    memory: int | None = Field(description="resident bytes; none where the process is on another machine")
-
-
-class ShareOut(QueueOut):
-    """A study's claim and what it has had."""
-
-    waiting: bool = Field(description="whether it has trials, or is itself, without a worker")
-    cores_held: float
-    cores_wanted: float = Field(description="at its full width")
-    core_seconds: float = Field(description="seconds of training times cores of a trial, so far")
-    samples: int
-
-
-class ClusterOut(Position):
-    """Pools, who is doing what, and what waits, highest priority first."""
-
-    host: str
-    pools: list[PoolOut]
-    workers: list[BusyOut]
-    queue: list[ShareOut]
-
-
 @router.get("/api/v1/cluster", tags=["service"])
 def cluster(service: Uses) -> ClusterOut:
     """Pools, workers and what each is doing, the queue and the shares."""
@@ -160,7 +94,7 @@ def cluster(service: Uses) -> ClusterOut:
         for row in studies
         for worker in _running(service, row)
     ]
-    busy.sort(key=lambda worker: (worker.pool, worker.worker, worker.study, worker.trial))
+    busy.sort(key=_place)
     queue = [_share(row, cores[row.name]) for row in studies]
     pools = [
         PoolOut(

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Sequence
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Query
 from pydantic import Field
 
 from services.api.models import Model
 from services.api.service import Uses
+from services.budget import most_trials
 from services.course import answers, course
 from services.errors import UnknownStudy
-from services.stages import most_trials
 from services.states import StudyState
 from services.store.port import StudyRow, TrialRow
 
@@ -43,38 +42,12 @@ class Pulses(Model):
     pulses: list[Pulse]
 
 
-class Counts:
-    """Numbers of distinct strategies, each counted once for each length of a study's history. Thread-safe."""
-
-    def __init__(self) -> None:
-        self._known: dict[tuple[str, int], tuple[int, int | None]] = {}
-        self._lock = threading.Lock()
-
-    def of(self, history_id: str, study: StudyRow, history: Sequence[TrialRow]) -> int | None:
-        """How many; None where behaviour plays no part."""
-        key = (history_id, study.id)
-        with self._lock:
-            length, count = self._known.get(key, (-1, None))
-            if length != len(history):
-                # The search's geometry comes with torch, which takes a second to import, once.
-                from services.report import behaviour_of, distinct_trials  # noqa: PLC0415
-
-                count = None if behaviour_of(study) is None else len(distinct_trials(study, history))
-                self._known[key] = (len(history), count)
-            return count
-
-
 @router.get("/pulse", tags=["studies"])
 def pulse(
     service: Uses,
-    request: Request,
     study: Annotated[list[str], Query(max_length=MOST_STUDIES, description="names; unknown ones are left out")],
 ) -> Pulses:
     """How studies are doing: the course of the best value, the number of strategies, rate and time left."""
-    if not hasattr(request.app.state, "strategy_counts"):
-        request.app.state.strategy_counts = Counts()
-    counts: Counts = request.app.state.strategy_counts
-    history_id = service.store.history_id()
     pulses = []
     for name in dict.fromkeys(study):
         try:
@@ -87,7 +60,7 @@ def pulse(
             Pulse(
                 study=row.name,
                 best=spark(history),
-                distinct=counts.of(history_id, row, history),
+                distinct=None if (found := service.distinct.of(row, history)) is None else len(found),
                 samples_per_second=rate,
                 seconds_left=left,
             )

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, Protocol, cast
 
 from fastapi import Depends
 from fastapi.requests import HTTPConnection
 
+from services.api.distinct import Distinct
 from services.api.live import Hub
 from services.api.looks import Looks
 from services.api.tables import FinishedTrials
@@ -43,6 +43,7 @@ class Service:
         hub: live events.
         trials: the finished trials of the studies last asked for.
         finder: sorts and filters trials.
+        distinct: strategies of studies.
         looks: what searches have learnt.
         pools: cores by worker pool; empty where this server doesn't know them.
     """
@@ -54,6 +55,7 @@ class Service:
     hub: Hub
     trials: FinishedTrials
     finder: Finder
+    distinct: Distinct
     looks: Looks
     pools: Mapping[str, int]
 
@@ -69,11 +71,3 @@ def service_of(connection: HTTPConnection) -> Service:
 
 Uses = Annotated[Service, Depends(service_of)]
 """A route's parameter that is the service."""
-
-
-def halma_version() -> str:
-    """Version of the installed distribution."""
-    try:
-        return version("halma")
-    except PackageNotFoundError:
-        return "0+uninstalled"

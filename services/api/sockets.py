@@ -8,7 +8,7 @@ from typing import Annotated
 import anyio
 from fastapi import APIRouter, Query, WebSocket, WebSocketDisconnect
 
-from services.api.routes import LARGEST_ID
+from services.api.parameters import LARGEST_ID
 from services.api.service import Uses
 
 router = APIRouter()

@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 
 from services.cli import about, checking, files, keeping, plotting, poses, starting, studies
+from services.cli.session import ask_server
 
 EPILOG = (
-    "Places: HALMA_HOME (default ~/.halma), HALMA_DB, HALMA_ARTIFACTS. "
+    "Places: HALMA_HOME (default ~/.halma), HALMA_DB, HALMA_ARTIFACTS, HALMA_SERVER. "
     "Exit codes: 0 done, 2 bad input, 1 anything else, 130 interrupted."
 )
 
@@ -36,11 +37,21 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def halma(
-    show_version: Annotated[
+    show_version: Annotated[  # noqa: ARG001 - its callback prints it
         bool, typer.Option("--version", help="Print the version.", is_eager=True, callback=_print_version)
     ] = False,
+    server: Annotated[
+        str | None,
+        typer.Option(
+            "--server",
+            metavar="URL",
+            help="Ask the service there instead of a database here; its token is HALMA_TOKEN or in HALMA_HOME/token.  "
+            "[default: HALMA_SERVER]",
+        ),
+    ] = None,
 ) -> None:
     """Options of the command itself."""
+    ask_server(server)
 
 
 for group, commands in (
@@ -63,6 +74,7 @@ for group, commands in (
 ):
     for command in commands:
         app.command(rich_help_panel=group)(command)
+app.command("set", rich_help_panel="Steer")(studies.set_fields)
 app.command("gc", rich_help_panel="Keep")(files.gc)
 app.command("verify", rich_help_panel="Keep")(files.verify_files)
 app.add_typer(poses.app, name="poses", rich_help_panel="Know")

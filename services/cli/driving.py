@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import time
 
 from services.address import find_server
 from services.cli.findings import report
 from services.cli.progress import shown_progress
-from services.cli.session import Session, say
-from services.driver import lives
+from services.cli.session import Session, say, warn
+from services.driver import DriverWatch, driving_words, lives
 from services.errors import HalmaError, InterruptedByUser, StudyDriven
 from services.stages import stage_names
 from services.states import StudyState
@@ -24,6 +25,28 @@ def is_driven_elsewhere(row: StudyRow) -> bool:
     return row.driver is not None and lives(row.driver) is not False
 
 
+def refuse_driven(opened: Session, row: StudyRow) -> None:
+    """Refuse a study that is being driven. One whose driver is on another host is watched for up to 15 s.
+
+    Raises:
+        StudyDriven: who drives it, where, since when, and what can be done.
+    """
+    if row.driver is None:
+        return
+    if lives(row.driver) is None:
+        say(f"{row.name} was driven by {driving_words(row)}. Looking whether it still is.")
+    if not DriverWatch(opened.store, time.monotonic, time.sleep).is_dead(row.name):
+        raise StudyDriven(_driven(opened.store.study(row.name)))
+
+
+def _driven(row: StudyRow) -> str:
+    return (
+        f"study {row.name!r}: expected that nobody drives it, found {driving_words(row)}; "
+        f"follow it: halma watch {row.name}; stop it: halma pause {row.name}; "
+        f"or take it over: halma resume {row.name} --take-over"
+    )
+
+
 def drive_here(
     opened: Session,
     name: str,
@@ -33,25 +56,25 @@ def drive_here(
     cores: int | None = None,
     ray_address: str | None = None,
 ) -> None:
-    """Drive a study to its end in this process and report; or say who does.
+    """Drive a study to its end in this process and report; or leave it to the service of this home.
 
     Raises:
+        StudyDriven: somebody drives it; nothing was changed.
         InterruptedByUser: Ctrl-C or SIGTERM; the study can be resumed.
         StudyFailed: the service stopped it.
     """
     row = opened.store.study(name)
-    if not take_over and is_driven_elsewhere(row):
-        with opened.store.transaction() as change:
-            row = change.ask(name, "run")
-        driver = row.driver
-        where = f"process {driver.pid} on {driver.host}" if driver else "another process"
-        say(f"{name} is being driven by {where}. Follow it: halma watch {name}")
-        return
+    if not take_over and row.wanted == "run":
+        refuse_driven(opened, row)
     with opened.store.transaction() as change:
         row = change.ask(name, "run")
     server = find_server(opened.settings)
     if server is not None and not take_over:
         say(f"The service at {server.url} goes on with {name}. Follow it: halma watch {name}")
+        return
+    if not take_over and is_driven_elsewhere(row):
+        # It was winding down, because it had been asked to; that has just been taken back.
+        say(f"{name} is told to go on; it is driven by {driving_words(row)}. Follow it: halma watch {name}")
         return
     _announce(row)
     from services.running import drive  # noqa: PLC0415 - the coordinator, which most commands never need
@@ -66,11 +89,16 @@ def drive_here(
                 take_over=take_over,
                 pools=_pools(row, cores) if cores or ray_address is None else None,
                 ray_address=ray_address,
+                tell=warn,
             )
     except InterruptedByUser:
         raise InterruptedByUser(f"Interrupted; nothing that was finished is lost. Go on: halma resume {name}") from None
+    except KeyboardInterrupt:
+        raise InterruptedByUser(
+            f"Interrupted at once; what had finished is on record. Go on: halma resume {name}"
+        ) from None
     except StudyDriven as error:
-        raise StudyDriven(f"{error}; or take it over: halma resume {name} --take-over") from None
+        raise StudyDriven(_driven(opened.store.study(name))) from error
     report(opened, opened.store.study(name))
     if row.state is StudyState.FAILED:
         raise StudyFailed(f"{name} failed; the reason is above. All of a trial's words: halma trials {name} --json")

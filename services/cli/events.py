@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from services.cli.words import count, duration, first_line, number
+from services.cli.words import count, duration, first_line, number, value_of
 from services.store.port import EventRow
 
 METRICS = {"level": "level", "success_rate": "success", "return_mean": "return"}
@@ -46,6 +46,12 @@ def _progress(payload: Payload) -> str:
     return f"iteration {payload.get('iteration')}, {samples} samples{', ' if figures else ''}{figures}"
 
 
+def _amended(payload: Payload) -> str:
+    changes: Mapping[str, Any] = payload.get("changes", {})
+    words = [f"{name} {value_of(each.get('from'))} -> {value_of(each.get('to'))}" for name, each in changes.items()]
+    return f"changed: {', '.join(words)}"
+
+
 def _released(payload: Payload) -> str:
     reason = payload.get("reason")
     return f"{payload.get('state')}{f': {reason}' if reason else ''}"
@@ -71,6 +77,7 @@ _SENTENCES: Mapping[str, Callable[[Payload], str | None]] = {
     "created": lambda _: "created",
     "asked": lambda payload: f"asked to {payload.get('wanted')}",
     "extended": lambda _: "budget raised",
+    "amended": _amended,
     "driven": lambda payload: f"taken up by process {payload.get('pid')} on {payload.get('host')}",
     "released": _released,
     "proposed": _proposed,

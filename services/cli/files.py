@@ -32,7 +32,7 @@ def gc(
 
     Studies may run meanwhile: what belongs to a trial that has not ended stays.
     """
-    with session(db, artifacts) as opened:
+    with session(db, artifacts, here="gc") as opened:
         collected = collect(opened.store, opened.artifacts, least_age=least_hours * 3600, dry_run=dry_run)
         url = opened.artifacts.url
     if as_json:
@@ -79,7 +79,7 @@ def verify_files(
         if not as_json:
             say(f"{mismatch.study}, trial {mismatch.trial}, {mismatch.artifact.name}: {mismatch.found}")
 
-    with session(db, artifacts) as opened:
+    with session(db, artifacts, here="verify") as opened:
         rows = opened.store.studies() if name is None else [opened.store.study(name)]
         if adopting:
             adopt(opened.store, opened.artifacts)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import RenderableType
 
+from services.budget import has_stages
 from services.cli.layout import Column, fitted
 from services.cli.session import Session, console, say
 from services.cli.tables import parameter_columns
@@ -27,7 +28,6 @@ from services.report import (
     value_name,
 )
 from services.spec import ResolvedSpec
-from services.stages import has_stages
 from services.states import StudyState
 from services.store.port import StudyRow
 

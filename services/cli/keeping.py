@@ -27,7 +27,7 @@ def export(
     name: StudyName,
     form: Annotated[Format, typer.Option("--format", "-f", help="What to write.")] = Format.CSV,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="File; default: STUDY and a suffix, here.")
+        Path | None, typer.Option("--output", "--out", "-o", help="File or folder; default: STUDY and a suffix, here.")
     ] = None,
     db: Db = None,
 ) -> None:
@@ -48,7 +48,7 @@ def replay(
 ) -> None:
     """Simulate the policy of a trial again, exactly."""
     kind = None if video is None else _kind_of(video)
-    with session(db) as opened:
+    with session(db, here="replay") as opened:
         row = opened.store.study(name)
         again = simulate_again(opened.store, opened.artifacts, row, number)
     value = "" if again.trial.value is None else f", value {value_of(again.trial.value)}"
@@ -77,7 +77,7 @@ def audit(
     as_json: AsJson = False,
 ) -> None:
     """Judge every strategy that a study reports: is it humanly possible? Exit code 1 where one is not."""
-    with session(db) as opened:
+    with session(db, here="audit") as opened:
         row = opened.store.study(name)
         judged = audit_study(opened.store, opened.artifacts, row, rollouts)
     failed = [each for each in judged if not each.passed]

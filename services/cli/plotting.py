@@ -12,7 +12,7 @@ import typer
 from services.cli.session import AsJson, Db, print_json, say, session
 from services.cli.studies import StudyName
 from services.cli.words import several
-from services.errors import BadInput, HalmaError
+from services.errors import BadInput, NotInstalled
 
 
 class Picture(StrEnum):
@@ -36,14 +36,10 @@ class Name(StrEnum):
     SLICE = "slice"
 
 
-class NotInstalled(HalmaError):
-    """A package is missing that not everybody needs."""
-
-
 def plot(
     name: StudyName,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for the files; default: STUDY-figures, here.")
+        Path | None, typer.Option("--out", "--output", "-o", help="Folder for the files; default: STUDY-figures, here.")
     ] = None,
     form: Annotated[Picture, typer.Option("--format", "-f", help="What to write.")] = Picture.PDF,
     only: Annotated[list[Name] | None, typer.Option("--only", help="Only this figure; may be repeated.")] = None,
@@ -62,9 +58,7 @@ def plot(
     from services.figures.study import draw, write  # noqa: PLC0415 - matplotlib, an extra
 
     with session(db) as opened:
-        row = opened.store.study(name)
-        store = opened.store
-        shown = Shown(row, store.trials(row.id), lambda trial: store.metrics(trial.id))
+        shown = Shown.of(opened.store, name)
         drawn = draw(shown, [each.value for each in only or Name])
     if not drawn.figures:
         reasons = "; ".join(f"{figure}: {reason}" for figure, reason in drawn.left_out.items())

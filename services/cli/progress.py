@@ -15,13 +15,13 @@ from rich.live import Live
 from rich.text import Text
 
 from search.record import SEARCH
+from services.budget import has_stages, most_trials
 from services.cli.events import metric_words
 from services.cli.session import console, say
-from services.cli.words import count, duration, number, several
+from services.cli.words import count, duration, first_line, number, several
 from services.errors import HalmaError
 from services.report import behaviour_of, distinct_trials
-from services.stages import has_stages, most_trials
-from services.states import TrialState
+from services.states import StudyState, TrialState
 from services.store.port import Store, StudyRow, TrialRow
 
 TERMINAL_SECONDS = 0.5
@@ -132,7 +132,7 @@ class Observer:
 
 def progress_line(snapshot: Snapshot) -> str:
     """One line: trials, best, distinct strategies, speed, time left."""
-    return ", ".join([_done(snapshot), *_found(snapshot), *_left(snapshot)])
+    return ", ".join([_done(snapshot), *_found(snapshot), *_left(snapshot), *_waits(snapshot)])
 
 
 def _done(snapshot: Snapshot) -> str:
@@ -151,6 +151,12 @@ def _found(snapshot: Snapshot) -> list[str]:
 
 def _left(snapshot: Snapshot) -> list[str]:
     return [f"about {duration(snapshot.left)} left"] if snapshot.left else []
+
+
+def _waits(snapshot: Snapshot) -> list[str]:
+    """Why a study that is driven waits: a full disk, a pool without a host."""
+    reason = snapshot.row.reason
+    return [first_line(reason, 200)] if reason and snapshot.row.state is StudyState.RUNNING else []
 
 
 def running_line(trial: TrialRow, metrics: Mapping[str, Any]) -> str:
@@ -172,6 +178,7 @@ def picture(snapshot: Snapshot) -> RenderableType:
         bar = Text("━" * filled, style="green") + Text("━" * (BAR - filled), style="dim") + Text("  ")
     # Two lines, because terminals of eighty columns are still the usual ones.
     lines = [bar + Text(", ".join([_done(snapshot), *_left(snapshot)])), Text(", ".join(_found(snapshot)))]
+    lines += [Text(reason, style="yellow") for reason in _waits(snapshot)]
     lines += [Text(f"  {running_line(trial, metrics)}", style="dim") for trial, metrics in snapshot.running]
     return Group(*lines)
 

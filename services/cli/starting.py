@@ -11,11 +11,23 @@ from typing import Annotated
 
 import typer
 
-from services.admission import admit, find, refuse_changes
+from services.admission import admit, apply_changes, changes_of, find
 from services.artifact_root import settle
-from services.cli.driving import drive_here
+from services.cli.driving import drive_here, refuse_driven
 from services.cli.findings import report
-from services.cli.session import Artifacts, AsJson, Db, RayAddress, print_json, say, session
+from services.cli.session import (
+    Artifacts,
+    AsJson,
+    Db,
+    RayAddress,
+    TakeOver,
+    named_server,
+    only_here,
+    print_json,
+    say,
+    session,
+    warn,
+)
 from services.errors import BadInput, NameTaken
 from services.problems import BadStudy
 from services.settings import find_settings
@@ -38,6 +50,7 @@ def run(
     overrides: Overrides = None,
     name: NewName = None,
     inline: Annotated[bool, typer.Option("--inline", help="Run trials in this process, without Ray.")] = False,
+    take_over: TakeOver = False,
     cores: Annotated[int | None, typer.Option("--cores", min=1, help="Cores to use; default: all.")] = None,
     ray: RayAddress = None,
     db: Db = None,
@@ -48,17 +61,23 @@ def run(
 
     read = read_draft(file, _overridden_by(overrides, name, profile))
     spec = check(read)
-    with session(db, artifacts) as opened:
+    with session(db, artifacts, here="run") as opened:
         settle(opened.store, opened.artifacts)
         row = find(opened.store, spec.name)
         if row is None:
             admit(opened.store, spec)
         else:
-            refuse_changes(row, read.spec or spec, read.source.origin(("name",)))
+            origin, anew = read.source.origin(("name",)), f"halma run {file} --name NEW"
+            changes = changes_of(row, read.spec or spec, origin, anew)
+            if not take_over:
+                refuse_driven(opened, row)
+            if changes:
+                row = apply_changes(opened.store, row, changes)
+                say(f"{row.name} changes with its file: {'; '.join(changes.words)}")
             if row.state is StudyState.COMPLETE:
                 report(opened, row)
                 return
-        drive_here(opened, spec.name, inline=inline, take_over=False, cores=cores, ray_address=ray)
+        drive_here(opened, spec.name, inline=inline, take_over=take_over, cores=cores, ray_address=ray)
 
 
 def submit(
@@ -75,6 +94,7 @@ def submit(
     from services.client import Client  # noqa: PLC0415 - HTTP, which other commands don't speak
 
     settings = find_settings()
+    server = server or named_server()
     given = _overridden_by(overrides, name, profile)
     # What can be told from the form alone is told here, also where no service runs; the rest is the service's to check.
     read = read_draft(file, given)
@@ -87,10 +107,9 @@ def submit(
             raise NameTaken(f"{read.source.origin(('name',))}: {error}") from None
         url = client.url
     if as_json:
-        print_json(study)
+        print_json(study.model_dump(mode="json"))
         return
-    name = str(study.get("name"))
-    say(f"Submitted {name} to {url}. Follow it: halma watch {name}")
+    say(f"Submitted {study.name} to {url}. Follow it: halma watch {study.name}")
 
 
 def serve(
@@ -114,6 +133,7 @@ def serve(
     artifacts: Artifacts = None,
 ) -> None:
     """Serve the API and the pages, and drive every study that is submitted, until Ctrl-C."""
+    only_here("serve")
     from services import serving  # noqa: PLC0415 - the web framework takes a second to import
     from services.ray_environment import prepare  # noqa: PLC0415 - as above
 
@@ -127,7 +147,7 @@ def serve(
         from services.ray_running import coordinator_serving  # noqa: PLC0415 - Ray reads the environment on import
 
         folder = str(Path.cwd())
-        with coordinator_serving(settings.database, settings.artifacts, folder, sizes, ray_address=ray):
+        with coordinator_serving(settings.database, settings.artifacts, folder, sizes, ray_address=ray, tell=warn):
             yield
 
     serving.serve(

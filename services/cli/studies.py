@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
+from services.amending import AMENDABLE, SHORT, field_of, read_amendments
 from services.artifact_root import settle
+from services.budget import has_stages
 from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
 from services.cli.findings import findings_table
@@ -18,6 +20,7 @@ from services.cli.session import (
     Db,
     RayAddress,
     Session,
+    TakeOver,
     console,
     print_json,
     print_json_line,
@@ -26,12 +29,12 @@ from services.cli.session import (
 )
 from services.cli.tables import done_of, fields_table, stages_table, state_text, studies_table, trials_table
 from services.cli.words import count, duration, several, state_words, value_of
-from services.driver import this_process
-from services.errors import BadInput, Refused, StudyDriven, WrongState
+from services.driver import driving_words, this_process
+from services.errors import BadInput, HalmaError, Refused, StudyDriven, WrongState
 from services.lineage import lineage_words
-from services.listings import event_json, study_json, trial_json
+from services.listings import artifacts_by_trial, event_json, study_json, trial_json
 from services.report import behaviour_of, distinct_trials, units_of
-from services.stages import has_stages, stages_of_study
+from services.stages import stages_of_study
 from services.states import LIVE_STUDY, OBSERVED_TRIAL, StudyState, TrialState
 from services.store.port import StudyRow
 
@@ -44,7 +47,7 @@ def complete_study(incomplete: str) -> list[str]:
     try:
         with session(None) as opened:
             return [row.name for row in opened.store.studies() if row.name.startswith(incomplete)]
-    except BadInput:
+    except HalmaError:
         return []
 
 
@@ -92,7 +95,7 @@ def show(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
         "distinct": several(len(found), "strategy") if behaviour_of(row) else None,
         "cost": f"{count(row.samples)} samples, {duration(row.seconds)} of training",
         "warm starts": lineage,
-        "driven by": f"process {row.driver.pid} on {row.driver.host}" if row.driver else None,
+        "driven by": driving_words(row) if row.driver else None,
         "seed": str(row.seed),
         "created": row.created_at.astimezone().strftime("%Y-%m-%d %H:%M:%S"),
         "finished": row.finished_at.astimezone().strftime("%Y-%m-%d %H:%M:%S") if row.finished_at else None,
@@ -131,7 +134,8 @@ def trials(
         row = opened.store.study(name)
         rows = opened.store.trials(row.id, states=state or None)
         if as_json:
-            print_json([trial_json(trial, opened.store.artifacts(trial.id)) for trial in rows])
+            left = artifacts_by_trial(opened.store.study_artifacts(row.id))
+            print_json([trial_json(trial, left.get(trial.id, ())) for trial in rows])
             return
     if not rows:
         say(f"{name} has no trials yet." if not state else f"{name} has no trial that is {' or '.join(state)}.")
@@ -187,7 +191,7 @@ def cancel(name: StudyName, db: Db = None, as_json: AsJson = False) -> None:
 def _ask(name: str, wanted: str, db: str | None, *, as_json: bool, driven: str) -> None:
     with session(db) as opened:
         row = opened.store.study(name)
-        if row.driver is not None and not is_driven_elsewhere(row):
+        if row.driver is not None and opened.server is None and not is_driven_elsewhere(row):
             _let_go(opened, row)
         with opened.store.transaction() as change:
             row = change.ask(name, wanted)
@@ -224,7 +228,7 @@ def extend(
     with session(db) as opened:
         with opened.store.transaction() as change:
             row = change.extend(name, trials=trials, cost=cost)
-        driven = is_driven_elsewhere(row)
+        driven = opened.server is not None or is_driven_elsewhere(row)
     if as_json:
         print_json(study_json(row))
         return
@@ -235,12 +239,44 @@ def extend(
     say(f"{name} now has a budget of {' and '.join(budget)}." + ("" if driven else f" Go on: halma resume {name}"))
 
 
+def set_fields(
+    name: StudyName,
+    fields: Annotated[
+        list[str], typer.Argument(metavar="FIELD=VALUE...", help=f"Fields: {', '.join((*SHORT, *AMENDABLE))}.")
+    ],
+    db: Db = None,
+    as_json: AsJson = False,
+) -> None:
+    """Change how a study is run: its priority, share, pool, width, retries. A running study follows at once.
+
+    For example: halma set STUDY priority=5 pool=gpu
+    """
+    with session(db) as opened:
+        before = opened.store.study(name)
+        asked = read_amendments(before, fields)
+        with opened.store.transaction() as change:
+            row = change.amend(name, asked)
+    if as_json:
+        print_json(study_json(row, spec=True))
+        return
+    for field in asked:
+        was, now = (value_of(field_of(each.spec, field)) for each in (before, row))
+        say(f"{name}: {field} is {now}" + ("" if was == now else f" (it was {was})"))
+
+
+def _resume_there(opened: Session, row: StudyRow, *, here: bool) -> None:
+    """Let a service go on with a study."""
+    if here:
+        raise BadInput("resume: expected none of --inline, --take-over, --ray-address with a service, found one")
+    with opened.store.transaction() as change:
+        change.ask(row.name, "run")
+    say(f"The service at {opened.server} goes on with {row.name}. Follow it: halma watch {row.name}")
+
+
 def resume(
     name: StudyName,
     inline: Annotated[bool, typer.Option("--inline", help="Run trials in this process, without Ray.")] = False,
-    take_over: Annotated[
-        bool, typer.Option("--take-over", help="Take the study from a driver that seems to live.")
-    ] = False,
+    take_over: TakeOver = False,
     ray: RayAddress = None,
     db: Db = None,
     artifacts: Artifacts = None,
@@ -254,5 +290,8 @@ def resume(
                 f"resume: expected a study with budget left, found {name} complete after {several(done, 'trial')}; "
                 f"look at it with `halma show {name}`, or give it more with `halma extend {name} --trials 10`"
             )
+        if opened.server is not None:
+            _resume_there(opened, row, here=inline or take_over or ray is not None)
+            return
         settle(opened.store, opened.artifacts)
         drive_here(opened, name, inline=inline, take_over=take_over, ray_address=ray)

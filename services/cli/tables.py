@@ -10,10 +10,11 @@ from rich.table import Table
 from rich.text import Text
 
 from search.record import SEARCH
+from services.budget import has_stages, most_trials
 from services.cli.layout import Column, fitted
 from services.cli.words import count, duration, first_line, value_of
 from services.spec import Behaviour
-from services.stages import StageProgress, has_stages, most_trials
+from services.stages import StageProgress
 from services.store.port import StudyRow, TrialRow
 
 STATE_STYLES: Mapping[str, str] = {

@@ -114,6 +114,12 @@ class Hosts:
     def _cap(self, pool: str) -> float:
         return float("inf") if self.caps is None else self.caps.get(pool, 0)
 
+    def sizes(self, pool: str) -> dict[str, float]:
+        """Cores that each host gives to a pool."""
+        cap = self._cap(pool)
+        found = {host: min(pools.get(pool, 0.0), cap) for host, pools in list(self._pools.items())}
+        return {host: size for host, size in found.items() if size > 0}
+
     def rooms(self, pool: str, busy: Mapping[str, float]) -> dict[str, float]:
         """Free cores of a pool by host, when so many of its cores are busy on each."""
         left = self._cap(pool) - sum(busy.values())

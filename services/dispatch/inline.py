@@ -32,6 +32,13 @@ class InlineDispatcher:
         taken = sum(assignment.cpus for assignment in self._waiting if assignment.pool == pool)
         return {"inline": self._pools.get(pool, 0) - taken}
 
+    def sizes(self, pool: str) -> dict[str, float]:
+        return {"inline": self._pools[pool]} if self._pools.get(pool) else {}
+
+    def where(self, attempt: int) -> str | None:
+        running = [] if self._running is None else [self._running.assignment]
+        return "inline" if any(each.attempt == attempt for each in [*running, *self._waiting]) else None
+
     def open(self, study_key: str, task: str) -> None:
         """The code is in this process already."""
 

@@ -167,6 +167,12 @@ class Dispatcher(Protocol):
     def rooms(self, pool: str) -> Mapping[str, float]:
         """Cores of a pool that nothing runs on, by host; hosts without any may be missing."""
 
+    def sizes(self, pool: str) -> Mapping[str, float]:
+        """Cores that each host gives to a pool, busy or not; none where no host gives any."""
+
+    def where(self, attempt: int) -> str | None:
+        """The host on which an attempt runs; None where it doesn't run (any more)."""
+
     def open(self, study_key: str, task: str) -> None:
         """Make ready for trials of a study: its task's code as it is now is what all of them run.
 

@@ -160,6 +160,13 @@ class RayDispatcher:
     def rooms(self, pool: str) -> dict[str, float]:
         return self.hosts.rooms(pool, self._cores(pool, self._busy.values()))
 
+    def sizes(self, pool: str) -> dict[str, float]:
+        return self.hosts.sizes(pool)
+
+    def where(self, attempt: int) -> str | None:
+        slot = self._busy.get(attempt)
+        return None if slot is None else slot.host
+
     @staticmethod
     def _cores(pool: str, slots: Iterable[_Slot]) -> dict[str, float]:
         """Cores of a pool that these hold on each host."""

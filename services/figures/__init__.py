@@ -4,6 +4,8 @@ They show what the pages show, from the same functions: surrogates and importanc
 strategies (`services.report`), difficulties (`services.fidelity`), the course of the best value (`services.course`).
 Drawing needs matplotlib (`pip install 'halma[plot]'`).
 
-    from services.figures.study import FIGURES, Shown
-    figure = FIGURES["behaviour"](Shown(row, trials, metrics))
+    from services.figures.shown import Shown
+    from services.figures.study import draw
+
+    figures = draw(Shown.of(store, "quickstart")).figures
 """

@@ -26,7 +26,7 @@ def draw_cost(shown: Shown) -> Figure:
     easier = [step for step in steps if step.trial.value is not None and not answers(step.trial)]
     for state, mark in MARKS.items():
         of = [step for step in steps if step.trial.state is state and step.trial.value is not None]
-        hard = [step for step in of if step not in easier] if state is TrialState.COMPLETE else of
+        hard = [step for step in of if answers(step.trial)] if state is TrialState.COMPLETE else of
         if hard:
             axes.scatter(
                 [s.samples for s in hard], values_of(s.trial for s in hard), label=state.value, zorder=2, **mark

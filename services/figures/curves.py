@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 
 from services.course import answers
+from services.curves import metric_of, metrics_of
 from services.figures.shown import Shown
 from services.figures.style import (
     COLUMN,
@@ -25,15 +26,7 @@ from services.store.port import MetricRow, TrialRow
 
 BEST = 6
 """Trials that are shown: the best ones."""
-FIRST = ("return", "bar", "level", "success", "height", "reward", "value")
-"""What a metric that people look at has in its name, the first that is found wins."""
 AXIS_WORDS = {"samples": "samples (control steps)"}
-
-
-def metric_of(names: Sequence[str]) -> str:
-    """The metric to show among those reported; the same choice as the page's."""
-    ranks = {name: next((i for i, word in enumerate(FIRST) if word in name), len(FIRST)) for name in names}
-    return min(names, key=lambda name: (ranks[name], name))
 
 
 def chosen(shown: Shown) -> list[TrialRow]:
@@ -48,10 +41,9 @@ def draw_curves(shown: Shown) -> Figure:
     reported: list[tuple[TrialRow, Sequence[MetricRow]]] = [
         (trial, rows) for trial in chosen(shown) if (rows := shown.metrics(trial))
     ]
-    names = sorted({name for _, rows in reported for row in rows for name in row.values} - {"samples"})
-    if not names:
+    metric = metric_of(metrics_of(row for _, rows in reported for row in rows))
+    if metric is None:
         raise NotApplicable("no trial has a learning curve")
-    metric = metric_of(names)
     curves = [(trial, [row for row in rows if metric in row.values]) for trial, rows in reported]
     if all(len(rows) < 2 for _, rows in curves):
         raise NotApplicable("no trial reported more than one iteration")

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from services.errors import BadInput
 from services.report import Finding, distinct_trials, spec_of
 from services.spec import Behaviour, Parameter, ResolvedSpec
 from services.states import OBSERVED_TRIAL
-from services.store.port import MetricRow, StudyRow, TrialRow
+from services.store.port import MetricRow, Store, StudyRow, TrialRow
 from services.value import ValueWords, value_words
 
 if TYPE_CHECKING:
@@ -56,6 +56,17 @@ class Shown:
                 f"study {self.row.name!r}: expected finished trials to draw, found none; "
                 f"see how it is doing with `halma show {self.row.name}`"
             )
+
+    @classmethod
+    def of(cls, store: Store, name: str) -> Self:
+        """The study of a name, from a trial database or from a service's (`services.remote_store`).
+
+        Raises:
+            UnknownStudy: there is none.
+            BadInput: as above.
+        """
+        row = store.study(name)
+        return cls(row, store.trials(row.id), lambda trial: store.metrics(trial.id))
 
     @cached_property
     def history(self) -> list[TrialRow]:

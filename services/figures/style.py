@@ -15,6 +15,7 @@ from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
+from matplotlib.collections import Collection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
@@ -32,6 +33,9 @@ SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 DASHES: Sequence[Any] = ("-", (0, (5, 2)), (0, (1, 1.5)))
 FIELD = "cividis"
 UNSURE = LinearSegmentedColormap.from_list("unsure", ["#f7f4ee", "#d8c9e3", "#9a79b8", "#4b2466"])
+
+MANY = 2000
+"""Marks or lines of one kind from which they are written as pixels: viewers choke on more, and nobody edits them."""
 
 MARKS: Mapping[TrialState, dict[str, Any]] = {
     TrialState.COMPLETE: {"marker": "o", "s": 16, "c": "#0b6fa4", "alpha": 0.75, "linewidths": 0},
@@ -168,10 +172,14 @@ def _width(labels: Sequence[str], columns: int) -> float:
     return sum(max(map(len, part)) + 8 for part in parts) * 0.062
 
 
-def encode(figure: Figure, form: str) -> bytes:
-    """A figure as the bytes of an SVG, PDF or PNG file, the same for the same figure."""
+def encode(figure: Figure, form: str, dpi: int = 300) -> bytes:
+    """A figure as the bytes of an SVG, PDF or PNG file, the same for the same figure; `dpi` is that of its pixels."""
+    parts: Any = figure.findobj(Collection)  # the stubs know neither what is found nor that offsets have a length
+    for part in parts:
+        if max(len(part.get_offsets()), len(part.get_paths())) > MANY:
+            part.set_rasterized(True)
     out = io.BytesIO()
     metadata: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(form, {})
     with style():
-        figure.savefig(out, format=form, metadata=metadata, bbox_inches=None)
+        figure.savefig(out, format=form, metadata=metadata, dpi=dpi, bbox_inches=None)
     return out.getvalue()

@@ -7,6 +7,7 @@ Events, and what their payload holds (`trial` is the trial's number; studies' ow
 | `created` | study | `study` (name), `target_trials` |
 | `asked` | study | `wanted`, `state` (after it) |
 | `extended` | study | `trials`, `cost` (more of it), `state` |
+| `amended` | study | `changes`: by dotted field, `from` and `to` |
 | `driven` | study | `driver`, `host`, `pid`, `token` |
 | `released` | study | `state`, `reason` |
 | `waiting`, `going_on` | study | `reason`: what a driven study waits for (a full disk); empty when it goes on |

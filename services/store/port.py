@@ -241,6 +241,12 @@ class Change(Protocol):
     def extend(self, name: str, *, trials: int = 0, cost: float = 0.0) -> StudyRow:
         """Raise the targets; a complete study becomes `queued` again."""
 
+    def amend(self, name: str, fields: Mapping[str, JSON]) -> StudyRow:
+        """Change fields of a study's spec, by dotted name; `priority` and `resources.pool` of its row with them.
+
+        Which fields may be changed is the caller's business. The event `amended` says what was and what is.
+        """
+
     def drive(self, name: str, driver: Driver, *, take_over_from: int | None = None) -> int:
         """Become the driver; the study becomes `running`. Returns the new drive token.
 
@@ -378,8 +384,8 @@ class Store(Protocol):
     def artifact_root(self) -> ArtifactRoot | None:
         """Where the artifacts are; None where no driver has noted it yet."""
 
-    def proposals(self, study_id: int) -> list[ProposalRow]:
-        """What each proposal saw, in order."""
+    def proposals(self, study_id: int, *, after: int = 0, limit: int | None = None) -> list[ProposalRow]:
+        """What each proposal with an id above `after` saw, in order."""
 
     def events(self, *, after: int = 0, study_id: int | None = None, limit: int = 1000) -> list[EventRow]:
         """Events beyond a cursor, oldest first."""

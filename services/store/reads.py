@@ -95,7 +95,11 @@ _STUDY_ARTIFACTS = (
     .where(trials.c.study_id == bindparam("study"))
     .order_by(trials.c.number, artifacts.c.name)
 )
-_PROPOSALS = select(*PROPOSAL).where(proposals.c.study_id == bindparam("study")).order_by(proposals.c.id)
+_PROPOSALS = (
+    select(*PROPOSAL)
+    .where(proposals.c.study_id == bindparam("study"), proposals.c.id > bindparam("after"))
+    .order_by(proposals.c.id)
+)
 _EVENTS = (
     select(*EVENT)
     .outerjoin_from(events, studies, studies.c.id == events.c.study_id)
@@ -234,9 +238,10 @@ class Reads:
         rows = self._rows(ARTIFACT_ROOT)
         return artifact_root(rows[0][0]) if rows else None
 
-    def proposals(self, study_id: int) -> list[ProposalRow]:
-        """What each proposal saw, in order."""
-        return [proposal_row(row) for row in self._rows(_PROPOSALS, study=study_id)]
+    def proposals(self, study_id: int, *, after: int = 0, limit: int | None = None) -> list[ProposalRow]:
+        """What each proposal with an id above `after` saw, in order."""
+        statement = _PROPOSALS if limit is None else _PROPOSALS.limit(limit)
+        return [proposal_row(row) for row in self._rows(statement, study=study_id, after=after)]
 
     def events(self, *, after: int = 0, study_id: int | None = None, limit: int = 1000) -> list[EventRow]:
         """Events beyond a cursor, oldest first."""

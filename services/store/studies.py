@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -171,6 +172,27 @@ class StudyTransitions(Journal):
         self._append(
             "extended", row.id, None, {"trials": trials, "cost": cost, "state": values.get("state", row.state)}
         )
+        return self._read(name)
+
+    def amend(self, name: str, fields: Mapping[str, JSON]) -> StudyRow:
+        """Change fields of a study's spec; see the port."""
+        row = self._study_named(name)
+        spec = json.loads(row.spec)
+        changes: dict[str, JSON] = {}
+        for field, value in fields.items():
+            *outer, last = field.split(".")
+            inner = spec
+            for part in outer:
+                inner = inner.setdefault(part, {})
+            if last not in inner or inner[last] != value:
+                changes[field] = {"from": inner.get(last), "to": value}
+                inner[last] = value
+        if changes:
+            columns = {"priority": "priority", "resources.pool": "pool"}
+            values = {columns[field]: fields[field] for field in changes if field in columns}
+            values["spec"] = encode("study.spec", spec)
+            self._execute(update(studies).where(studies.c.id == row.id), values)
+            self._append("amended", row.id, None, {"changes": changes})
         return self._read(name)
 
     def drive(self, name: str, driver: Driver, *, take_over_from: int | None = None) -> int:

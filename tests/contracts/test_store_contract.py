@@ -168,6 +168,28 @@ class TestStudies:
         assert (row.target_trials, row.target_cost, row.state, row.wanted) == (7, 2.0, StudyState.QUEUED, "run")
         assert row.finished_at is None
 
+    def test_how_a_study_is_run_can_be_changed_and_what_was_is_told(self, store):
+        study = Study(store, pool="a", priority=1)
+        row = study.do(
+            "amend", "jump", {"priority": 3, "resources.pool": "b", "resources.parallel": 4, "task": "sphere"}
+        )
+        assert (row.priority, row.pool) == (3, "b")
+        assert row.spec == {"task": "sphere", "priority": 3, "resources": {"pool": "b", "parallel": 4}}
+        assert store.wanted([study.id])[study.id].spec == row.spec
+        event = store.events()[-1]
+        assert (event.kind, event.payload["changes"]) == (
+            "amended",
+            {
+                "priority": {"from": None, "to": 3},
+                "resources.pool": {"from": None, "to": "b"},
+                "resources.parallel": {"from": None, "to": 4},
+            },
+        )
+        assert study.do("amend", "jump", {"priority": 3}) == study.row()
+        assert store.last_event() == event.id, "no change, no event"
+        with pytest.raises(UnknownStudy):
+            study.do("amend", "nobody", {"priority": 3})
+
     def test_extending_by_nothing_or_where_there_is_no_budget_is_refused(self, study):
         with pytest.raises(WrongState, match="found 0 trials and cost 0"):
             study.do("extend", "jump")

@@ -194,6 +194,13 @@ class Interleavings(RuleBasedStateMachine):
         if self.state == "complete":
             self.state, self.wanted = "queued", "run"
 
+    @rule(priority=st.integers(-2, 2), pool=st.sampled_from(["default", "other"]))
+    def amend(self, priority, pool):
+        """At any time, whoever drives."""
+        row = self.attempted(True, "amend", self.name, {"priority": priority, "resources.pool": pool})
+        assert (row.priority, row.pool, row.state, row.target_trials) == (priority, pool, self.state, self.target)
+        assert row.spec == {"priority": priority, "resources": {"pool": pool}}
+
     @precondition(lambda self: self.late() or (self.driver is not None and self.queued() is None))
     @rule(data=st.data(), count=st.integers(1, 3))
     def propose(self, data, count):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
+import time
 
 import pytest
 from playwright.sync_api import expect
@@ -14,6 +15,9 @@ from tests.dashboards.conftest import TOKEN, Watched
 from tests.record import Record
 
 pytestmark = pytest.mark.browser
+
+CUT_SECONDS = 30.0
+"""Longer than any of the page's own patience, and than what a proxy would call a pause."""
 
 
 class Cable:
@@ -56,11 +60,14 @@ def test_a_cut_is_told_and_what_happened_meanwhile_is_there_afterwards(service, 
         expect(page.locator("#link")).to_have_attribute("data-state", "live")
         page.evaluate("window.notReloaded = true")
         cable.whole.clear()
+        cut = time.monotonic()
         record.one()
         expect(page.locator("#link")).to_have_attribute("data-state", "waiting")
         expect(page.locator("#banner")).to_contain_text("The service does not answer since")
         expect(page.locator("#table tbody tr[data-number]")).to_have_count(1)
         record.one()
+        time.sleep(max(0.0, CUT_SECONDS - (time.monotonic() - cut)))
+        expect(page.locator("#link")).to_have_attribute("data-state", "waiting")
         cable.whole.set()
         expect(page.locator("#link")).to_have_attribute("data-state", "live")
         expect(page.locator("#banner")).to_be_hidden()

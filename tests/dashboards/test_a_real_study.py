@@ -180,7 +180,7 @@ def test_a_reference_clip_stands_beside_a_trial_in_step(viewer, tmp_path):
     wrong = tmp_path / "wrong.txt"
     wrong.write_text("no clip")
     page.set_input_files("#clip", wrong)
-    expect(page.locator("#beside-said")).to_contain_text("wrong.txt: clip: expected JSON with `Frames`")
+    expect(page.locator("#beside-said")).to_contain_text('wrong.txt: clip: expected a motion clip (JSON with "Frames")')
     viewer.assert_calm(but=[*SOFTWARE_GL, "422"])
 
 

@@ -88,6 +88,59 @@ def test_without_a_token_every_route_gives_the_login_page_or_nothing(app, anyone
                 assert page.status_code == 401, (method, path)
 
 
+METHODS = ["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE"]
+
+
+def test_no_method_of_any_route_opens_it_and_neither_does_a_wrong_token_or_session(app, anyone):
+    paths = sorted({path for path, _ in routes(app) + described(app)} - OPEN)
+    # whatever a router hides from one way of finding routes, the other finds
+    assert {path for path, _ in described(app)} <= {path for path, _ in routes(app)}
+    assert len(paths) > 40
+    attempts = [{}, {"authorization": "Bearer not-the-token-at-all"}, {"cookie": f"{COOKIE}=1.x.forged"}]
+    for path in paths:
+        for method in METHODS:
+            for headers in attempts:
+                answer = anyone.request(method, path, headers=headers, follow_redirects=False)
+                assert answer.status_code == 401, (method, path, headers)
+                assert not {"jump", "omega_x"} & set(answer.text.split('"')), (method, path, headers)
+
+
+def test_a_route_that_somebody_adds_later_is_closed(tmp_path):
+    store = open_store(tmp_path / "halma.db")
+    added = create_app(store, open_artifacts(tmp_path / "artifacts"), token=TOKEN)
+
+    @added.get("/later")
+    def later():
+        return "secret"
+
+    with TestClient(added, base_url="http://localhost") as client:
+        assert client.get("/later").status_code == 401
+        assert client.get("/later", headers={"authorization": f"Bearer {TOKEN}"}).json() == "secret"
+    store.close()
+
+
+def test_the_policy_lets_a_page_load_and_send_nothing_elsewhere(anyone):
+    policy = anyone.get("/login").headers["content-security-policy"]
+    parts = dict(part.strip().split(" ", 1) for part in policy.split(";"))
+    assert parts["default-src"] == "'none'"
+    assert parts["script-src"] == parts["style-src"] == parts["connect-src"] == parts["form-action"] == "'self'"
+    assert parts["base-uri"] == parts["frame-ancestors"] == "'none'"
+    allowed = {source for sources in parts.values() for source in sources.split()}
+    assert allowed == {"'none'", "'self'", "data:", "blob:"}, "no host, no inline code, no eval"
+    assert set(parts["img-src"].split()) == {"'self'", "data:", "blob:"}, "the rest only for pictures"
+
+
+def test_logging_out_from_a_foreign_page_is_refused(app):
+    app.state.throttle = type(app.state.throttle)()
+    with TestClient(app, base_url="http://localhost") as client:
+        client.post("/login", data={"token": TOKEN}, follow_redirects=False)
+        foreign = client.post("/logout", headers={"origin": "http://evil.example"}, follow_redirects=False)
+        assert foreign.status_code == 403
+        assert client.get("/api/v1/studies").status_code == 200
+        client.post("/logout", headers={"origin": "http://localhost"}, follow_redirects=False)
+        assert client.get("/api/v1/studies").status_code == 401
+
+
 def test_of_the_static_files_only_the_login_pages_own_are_open(anyone):
     names = [file.relative_to(STATIC).as_posix() for file in STATIC.rglob("*") if file.is_file()]
     assert len(names) > 20

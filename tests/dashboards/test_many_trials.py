@@ -175,10 +175,14 @@ def test_what_happens_meanwhile_is_there_without_reloading_and_the_place_is_kept
     expect(row(page, count)).to_contain_text("0.25")
     scroll(page, 3000)
     expect(row(page, count - 101)).to_be_attached()
-    top = page.evaluate("document.getElementById('table').scrollTop")
+    read = f"#table tr[data-number='{count - 105}']"
+    place = f'document.querySelector("{read}").getBoundingClientRect().top'
+    before = page.evaluate(place)
     record.one(iterations=1, state=TrialState.DIVERGED, message="the return became NaN")
     expect(page.locator("#filters [role=status]")).to_have_text(f"{count + 2} trials")
-    assert page.evaluate("document.getElementById('table').scrollTop") == top
+    assert page.evaluate(place) == before, "what somebody reads stays where it is"
+    asked = [url for url in viewer.requests if "/window?" in url and "offset=0" in url]
+    assert len(asked) == 1, "in the plain order nothing is asked for again"
     page.click("#filters [data-state=complete]")
     expect(row(page, count + 1)).to_contain_text("the return became NaN")
     until(lambda: page.locator("#table .state[data-state=complete]").count() == 0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import pytest
 from playwright.sync_api import expect
 
@@ -128,6 +126,38 @@ class TestStudy:
         assert page.evaluate("window.notReloaded")
         browser.assert_calm()
 
+    def test_what_the_value_is_called_is_learnt_from_the_first_trial(self, browser, record):
+        page = ready(browser, "/studies/jump")
+        (trial,) = record.propose()
+        attempt = record.start(trial)
+        expect(page.locator("#table thead")).to_contain_text("Value")
+        expect(page.locator("#progress i")).to_have_count(1)
+        record.finish(attempt, trial, value=0.8125, features=(0.5,), bar=0.8125)
+        expect(page.locator("#value-chart .ytitle")).to_have_text("bar (m)")
+        expect(page.locator("#table thead")).to_contain_text("Bar (m)")
+        expect(page.locator("#gallery .figure")).to_have_text("bar 0.8125 m")
+        expect(page.locator("#fact-best")).to_have_text("0.8125 m")
+        record.start(record.propose()[0])
+        expect(page.locator("#progress i")).to_have_count(2)
+        states = "all => all.map((one) => one.dataset.state)"
+        assert page.locator("#progress i").evaluate_all(states) == ["complete", "running"]
+
+    def test_what_is_finished_is_told_by_stage(self, browser, service):
+        stages = {
+            "polish": {"kind": "polish", "after": ["search", "novelty"]},
+            "novelty": {"kind": "novelty", "after": ["search"], "strategies": 1, "trainings": 2},
+        }
+        made = Record(service.store, service.artifacts, "staged", target=3, stages=stages).begin()
+        made.one(value=0.5, features=(0.0,))
+        page = ready(browser, "/studies/staged")
+        expect(page.locator("#fact-stages")).to_have_text("search 1, novelty 0, polish 0")
+        (trial,) = made.propose(stage="novelty")
+        made.start(trial)
+        expect(page.locator("#fact-stages")).to_have_text("search 1, novelty 0 (1 running), polish 0")
+        # Three of the search, twice one of the novelty, and five times five of the polish are the most there can be.
+        expect(page.locator("#fact-trials")).to_have_text("1 of 30 done, 1 running")
+        browser.assert_calm()
+
     def test_states_are_shown_as_they_are(self, browser, record):
         record.one(state=TrialState.DIVERGED, message="the return became NaN at iteration 3")
         record.one(state=TrialState.INFEASIBLE)
@@ -242,7 +272,12 @@ class TestTrial:
         expect(page.locator("[data-live=attempts]")).to_contain_text("running")
         for iteration in (1, 2, 3):
             record.report(attempt, iteration, **{"return": 0.1 * iteration})
-        until(lambda: page.evaluate("document.querySelector('#curves [data-metric=return]')?.data?.[0].x.length") == 3)
+        until(
+            lambda: (
+                page.evaluate("document.querySelector('#curves [data-metric=return] .small-chart')?.data?.[0].x.length")
+                == 3
+            )
+        )
         record.finish(attempt, trial, value=0.5, features=(0.25,), bar=0.61)
         expect(page.locator("[data-live=head]")).to_contain_text("complete")
         expect(page.locator("[data-live=details]")).to_contain_text("0.61")
@@ -282,67 +317,33 @@ class TestEvents:
         expect(items).to_have_count(count + 3)
         browser.assert_calm()
 
+    def test_what_is_looked_for_is_kept_in_the_address(self, browser, record):
+        record.one(iterations=1)
+        record.one(iterations=1, state=TrialState.DIVERGED, message="the return became NaN")
+        page = ready(browser, "/studies/jump/events")
+        page.fill("#filters input[type=search]", "trial 1")
+        items = page.locator("#events li")
+        expect(items.last).to_contain_text("bds proposed trial 1")
+        expect(items.first).to_contain_text("diverged: the return became NaN")
+        ready(browser, page.url.removeprefix(browser.url))
+        expect(items.first).to_contain_text("diverged")
+        expect(items).to_have_count(3)
+        page.fill("#filters input[type=search]", "nothing like it")
+        expect(page.locator("#events")).to_have_text("No event matches.")
 
-class TestActions:
-    def test_pausing_asks_first(self, browser, service, record):
-        page = ready(browser, "/studies/jump")
-        page.click("#actions [data-action=pause]")
-        page.click("text=Keep as it is")
-        assert service.store.study("jump").wanted == "run"
-        page.click("#actions [data-action=pause]")
-        page.click("#confirm-yes")
-        expect(page.locator("#study-reason")).to_contain_text("pausing")
-        assert service.store.study("jump").wanted == "pause"
+    def test_those_of_long_ago_stay_on_the_server_until_they_are_asked_for(self, browser, service, record):
+        record.one(iterations=1)
+        # Ids count up over all studies: here as if others had caused 50,000 events meanwhile.
+        with service.store._engine.begin() as connection:
+            connection.exec_driver_sql("UPDATE sqlite_sequence SET seq = seq + 50000 WHERE name = 'events'")
+        for _ in range(40):
+            record.one(iterations=1, files=())
+        page = ready(browser, "/studies/jump/events")
+        expect(page.locator("#filters [role=status]")).to_have_text("120 events so far")
+        page.click("text=Show older events")
+        expect(page.locator("#events li").last).to_contain_text("study created")
+        expect(page.locator("text=Show older events")).to_be_hidden()
         browser.assert_calm()
-
-    def test_extending_raises_the_target_on_the_page(self, browser, service, record):
-        page = ready(browser, "/")
-        page.click("tr[data-study=jump] [data-action=extend]")
-        page.fill("#confirm-number input", "6")
-        page.click("#confirm-yes")
-        expect(page.locator("tr[data-study=jump]")).to_contain_text("0 of 30 done")
-        browser.assert_calm()
-
-    def test_what_is_refused_is_told_in_the_dialog(self, browser, service, record):
-        page = ready(browser, "/studies/jump")
-        page.click("#actions [data-action=cancel]")
-        record.end()
-        with service.store.transaction() as change:
-            change.delete_study("jump")
-        page.click("#confirm-yes")
-        expect(page.locator("#confirm-problem")).to_contain_text("expected the name of a study")
-        browser.assert_calm(but=["404"])
-
-
-class TestSubmission:
-    def test_mistakes_are_shown_at_their_lines_and_a_good_file_runs(self, browser, service):
-        page = browser.open("/submit")
-        page.fill("#text", "name: pasted\ntask: point_jump\nsearch:\n  strategy: randon\n  trials: 0\n")
-        page.click("#send")
-        problems = page.locator("#problems li")
-        expect(problems).to_have_count(2, timeout=30000)
-        expect(problems.first).to_contain_text("line 4search.strategy:")
-        expect(problems.last).to_contain_text("expected a number above 0, found 0")
-        expect(page.locator("#lines [data-wrong]")).to_have_text(["4", "5"])
-        assert service.store.studies() == []
-        page.fill("#text", "name: pasted\ntask: point_jump\nsearch:\n  strategy: random\n  trials: 3\n")
-        page.click("#send")
-        page.wait_for_url(f"{browser.url}/studies/pasted")
-        assert service.store.study("pasted").target_trials == 3
-        browser.assert_calm(but=["422"])
-
-    def test_a_file_can_be_opened(self, browser, tmp_path):
-        file = tmp_path / "mine.yaml"
-        file.write_text("name: from-a-file\n")
-        page = browser.open("/submit")
-        page.set_input_files("#upload", file)
-        expect(page.locator("#text")).to_have_value("name: from-a-file\n")
-        page.click("#send")
-        expect(page.locator("#problems")).to_contain_text("search", timeout=30000)
-
-    def test_a_study_can_be_cloned_as_a_new_file(self, browser, record):
-        page = browser.open("/submit?study=jump")
-        expect(page.locator("#text")).to_have_value(re.compile(r"^name: jump-2\ntask:\n  name: high_jump\n"))
 
 
 class TestAbsence:
@@ -487,3 +488,34 @@ class TestPictures:
         assert download.value.suggested_filename == "jump-value.svg"
         assert b"<svg" in download.value.path().read_bytes()[:200]
         browser.assert_calm()
+
+    @pytest.mark.parametrize(
+        ("path", "box", "name"),
+        [
+            ("/studies/jump/trials/0", "#curves [data-metric=kl]", "jump-0-kl"),
+            ("/studies/jump/quality", "#each [data-parameter=alpha]", "jump-alpha"),
+        ],
+    )
+    def test_a_small_one_can_be_saved_too(self, browser, record, path, box, name):
+        record.one()
+        page = ready(browser, path)
+        page.locator(f"{box} .main-svg").first.wait_for()
+        page.locator(box).scroll_into_view_if_needed()
+        page.hover(box)
+        with page.expect_download() as download:
+            page.click(f"{box} [data-save=png]")
+        assert download.value.suggested_filename == f"{name}.png"
+        assert download.value.path().read_bytes()[:4] == b"\x89PNG"
+        browser.assert_calm()
+
+
+class TestDifficulty:
+    def test_a_value_of_an_easier_version_is_not_the_best_of_the_task(self, browser, record):
+        record.one(value=0.9, z=0.2)
+        record.one(value=0.4)
+        record.one(value=0.5)
+        page = ready(browser, "/studies/jump")
+        expect(page.locator("#fact-best")).to_have_text("0.5")
+        expect(page.locator("#value-chart .points path")).to_have_count(3)
+        line = "document.querySelector('#value-chart').data.find((trace) => trace.name === 'best so far').y"
+        until(lambda: page.evaluate(line) == [0.4, 0.5, 0.5])

@@ -13,7 +13,11 @@ from playwright.sync_api import expect
 from tests.dashboards.conftest import until
 from tests.dashboards.motion import files, thrown
 from tests.record import Record
+from workers.contracts import Job
+from workers.local_context import LocalContext
 from workers.physics.rendering import Size, render_frame
+from workers.replay import Replay
+from workers.run import run
 from workers.tasks.high_jump.behaviour import over_the_bar
 
 pytestmark = pytest.mark.browser
@@ -202,3 +206,23 @@ def test_a_file_that_is_no_replay_is_told(browser, service, data, said):
     Record(service.store, service.artifacts, "jump").begin().one(files=[("replay.bin", data)])
     page = browser.open("/studies/jump/trials/0")
     expect(page.locator("halma-replay .said")).to_contain_text(said, timeout=30000)
+
+
+def test_a_walk_has_no_bar_and_shows_the_walkers_own_bodies(browser, service, tmp_path):
+    context = LocalContext(tmp_path)
+    tiny = {"budget": {"samples": 40}, "network": {"hidden": [8]}, "ppo": {"environments": 2, "samples": 16}}
+    run(Job("s", 0, "walker", {"thigh_length": 1.5}, 1, {"steps": 20, "training_steps": 8}, tiny, 0.3), context)
+    data = context.artifact("replay.bin")
+    walk = Replay.from_bytes(data)
+    Record(service.store, service.artifacts, "walk").begin().one(files=[("replay.bin", data)])
+    page = opened(browser, "/studies/walk/trials/0")
+    assert of(page, "stage.bodies.length") == 9
+    of(page, "seek(document.querySelector('halma-replay').duration)")
+    drawn = np.array(of(page, "stage.bodies.map((body) => body.position.toArray())"))
+    assert drawn == pytest.approx(walk.arrays["position"][-1], abs=1e-4)
+    thigh = walk.header["bodies"].index("right_thigh")
+    assert of(page, f"replay.header.shapes[{thigh}].size[1]") == pytest.approx(1.5 * 0.4)
+    assert of(page, "shadowRoot.querySelector('.bar-button').hidden") is True
+    metres = walk.arrays["com"][-1, 0]
+    assert f"{metres:.1f} m along" in of(page, "shadowRoot.querySelector('.figures').textContent")
+    browser.assert_calm(but=SOFTWARE_GL)

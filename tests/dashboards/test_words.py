@@ -57,3 +57,18 @@ def test_a_login_leads_only_inside(target):
 
 def test_nothing_in_a_data_block_can_end_it():
     assert "<" not in as_json({"name": "</script><script>alert(1)</script>"})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("bar", 0.9, "0.9\u202fm"),
+        ("facing", math.pi / 2, "90°"),
+        ("reward", 0.5, "0.5"),
+        ("bar", None, "–"),
+        ("cleared", True, "yes"),
+        ("name", "layout", "layout"),
+    ],
+)
+def test_named_results_have_their_units(name, value, text):
+    assert words.result(value, name) == text

@@ -119,6 +119,27 @@ def test_a_study_outlives_each_of_its_processes(home, victim):
     store.close()
 
 
+def test_without_rays_own_processes_the_command_ends_and_says_how_to_go_on(home):
+    file = home.write("study.yaml", STUDY.format(samples=6_000, parallel=2))
+    process, store, row = under_way(home, file, after=1)
+    everybody = family(process.pid)
+    (gcs,) = [pid for pid in everybody if "gcs_server" in title(pid).split("\0")[0]]
+    kill_all([gcs])
+    output, _ = process.communicate(timeout=100)
+    assert process.returncode == 1, output
+    assert (
+        f"Ray's gcs_server (process {gcs}) has ended, and with it this run; what had finished is on record." in output
+    )
+    assert output.rstrip().endswith("Go on with: halma resume killed")
+    wait_for(lambda: not alive(everybody))
+    before = {trial.number: trial for trial in store.history(row.id)}
+    home.run("resume", "killed", "--inline")
+    after = {trial.number: trial for trial in store.history(row.id)}
+    assert sorted(after) == [0, 1, 2, 3]
+    assert {number: after[number] for number in before} == before
+    store.close()
+
+
 def test_ctrl_c_stops_at_a_checkpoint_and_leaves_no_process_behind(home):
     file = home.write("study.yaml", STUDY.format(samples=2_000_000, parallel=2))
     process = home.start("run", file)

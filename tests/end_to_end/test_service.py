@@ -97,8 +97,8 @@ def test_two_runs_on_one_home_do_not_drive_the_same_study_twice(home):
     first = home.start("run", file, "--inline")
     try:
         wait_for(lambda: "running" in home.run("ls"), every=1.0)
-        told = home.run("run", file, "--inline")
-        assert "served is being driven by process" in told
+        told = home.run("run", file, "--inline", expect=2)
+        assert "found process" in told
         assert str(first.pid) in told
     finally:
         first.send_signal(signal.SIGINT)

@@ -94,6 +94,14 @@ class TestImportances:
         found = importances(study(SIX, lambda _: float(rng.standard_normal()), 60), "value", np.random.default_rng(0))
         assert found.explained < 0.1
 
+    def test_of_cmfbo_they_are_taken_with_its_own_kernel(self):
+        # ten observations in ten folds: each is predicted from all others, as the process itself can leave one out
+        asked = study(SIX, lambda p, z: math.sin(4 * p["x1"]) - z * p["x4"], 10, name="cmfbo", z=[0.1, 0.5, 1.0])
+        found = importances(asked, "value", np.random.default_rng(0))
+        process = asked.process("value")
+        missed = np.square(process.leave_one_out()[0] - process.Y).mean() / process.Y.var()
+        assert found.explained == pytest.approx(1 - missed, rel=1e-6)
+
     def test_few_observations_say_nothing(self):
         assert importances(study(SIX, two_matter, 5), "value", np.random.default_rng(0)) is None
         assert importances(study(SIX, lambda _: 1.0, 20), "value", np.random.default_rng(0)) is None
@@ -135,6 +143,48 @@ class TestSlices:
         assert hard.acquisition_name == "expected improvement at z = 1"
         assert (hard.acquisition >= 0).all()
         assert np.allclose(hard.acquisition, easy.acquisition)
+
+    def test_cmfbo_shows_the_very_surrogate_that_it_proposes_from(self):
+        space = Space({"x0": Float(0.0, 1.0), "x1": Float(0.0, 1.0)})
+        asked = study(space, lambda p, z: math.sin(3 * p["x0"]) + p["x1"] * z, 38, name="cmfbo", z=[0.2, 0.5, 1.0])
+        joint, _, _ = make_strategy("cmfbo", space).surrogates(asked.record)
+        shown = slice_of(asked, Ask("x0", "x1", z=0.5, size=6))
+        U = np.array([[a, b] for b in shown.y.unit for a in shown.x.unit])
+        mean, sigma = joint.posterior(U, 0.5)
+        natural = (mean + joint.scale.trend * -0.5) * joint.scale.spread + joint.scale.middle
+        assert shown.mean == pytest.approx(natural.reshape(6, 6), abs=1e-12)
+        assert shown.deviation == pytest.approx((sigma * joint.scale.spread).reshape(6, 6), abs=1e-12)
+
+    def test_a_slice_says_when_easy_levels_are_left_out_because_they_mislead(self):
+        space = Space({"x0": Float(0.0, 1.0), "x1": Float(0.0, 1.0)})
+
+        def misled(p, z):
+            return math.sin(9 * p["x0"]) if z == 1 else 2 * math.cos(9 * p["x0"]) + p["x1"]
+
+        asked = study(space, misled, 60, name="cmfbo", z=[0.2, 1.0])
+        hard = slice_of(asked, Ask("x0", "x1", size=5))
+        assert hard.notes[0] == "The surrogate that cmfbo proposes from."
+        assert hard.notes[1].startswith("It is of z = 1 alone: easier levels help to predict it with a probability of")
+        easy = slice_of(asked, Ask("x0", "x1", z=0.2, size=5))
+        assert "because one is shown" in easy.notes[1]
+        assert np.allclose(easy.acquisition, hard.acquisition)
+
+        def helped(p, z):
+            return math.sin(9 * p["x0"]) + 0.3 * (1 - z)
+
+        good = slice_of(study(space, helped, 60, name="cmfbo", z=[0.2, 1.0]), Ask("x0", "x1", size=5))
+        assert good.notes[1].startswith("Easier levels are in it: they help to predict z = 1")
+
+    def test_a_published_form_is_said_to_have_a_surrogate_of_its_own(self):
+        space = Space({"x0": Float(0.0, 1.0), "x1": Float(0.0, 1.0)})
+        strategy = make_strategy("cmfbo", space, settings={"variant": "published"})
+        history = [
+            Observation(Candidate(space.from_unit(u), z=1.0), value=float(u.sum()), cost=1.0)
+            for u in np.random.default_rng(0).random((8, 2))
+        ]
+        shown = slice_of(known(strategy, history), Ask("x0", "x1", size=5))
+        assert "cmfbo as published proposes from one that is fitted in another way" in shown.notes[0]
+        assert shown.acquisition is None
 
     def test_novelty_is_small_where_behaviours_are_known(self):
         space = Space({"x0": Float(0.0, 1.0), "x1": Float(0.0, 1.0)})

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from benchmarks.search.maps import FLIGHTS, REPORT, World, world
+from benchmarks.search.map_sets import FLIGHTS, REPORT, VALIDATE, WIDE
+from benchmarks.search.maps import World, world
 
 
-@pytest.mark.parametrize("m", [*REPORT, *FLIGHTS], ids=lambda m: m.name)
-def test_every_strategy_of_a_reported_map_can_be_reached_and_failures_have_their_share(m):
+@pytest.mark.parametrize("m", [*REPORT, *FLIGHTS, *VALIDATE, *WIDE], ids=lambda m: m.name)
+def test_every_strategy_of_a_map_can_be_reached_and_failures_have_their_share(m):
     w = world(m)
     labels = w.labels(w.sample)
     assert set(labels[labels >= 0].tolist()) == set(range(m.count))

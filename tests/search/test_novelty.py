@@ -2,6 +2,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from search_cases import facing, jump_space
 
 from search import Candidate, Features, Observation, make_strategy
@@ -52,6 +54,45 @@ def test_each_good_initial_state_is_trained_k_times_more_round_by_round():
     for o in second:
         assert o.candidate.params == history[o.candidate.warm_start].candidate.params
         assert len(o.candidate.info["avoid"]) >= 3
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 2**32 - 1))
+def test_stage_two_agrees_with_a_slow_obvious_version(seed):
+    rng = np.random.default_rng(seed)
+    trials, initial, k, threshold = 8, int(rng.integers(1, 5)), int(rng.integers(1, 4)), float(rng.uniform(0.1, 1.5))
+    space, history = jump_space(), []
+    for u in rng.random((trials + int(rng.integers(0, 6)), 3)):
+        c = Candidate(space.from_unit(u))
+        if rng.random() < 0.25:
+            history.append(Observation(c, status="failed"))
+        else:
+            history.append(Observation(c, float(rng.random()), [float(rng.uniform(-3, 3))]))
+    pending = [Candidate(space.from_unit(u)) for u in rng.random((int(rng.integers(0, 3)), 3))]
+
+    # the best of stage 1 stands for all within the threshold, then the best of the rest, and so on
+    left = [i for i in range(trials) if history[i].status == "complete"]
+    states = []
+    while left:
+        best = max(left, key=lambda i: history[i].value)
+        states.append(best)
+        left = [i for i in left if turn_between(history[i].features[0], history[best].features[0]) > threshold]
+    rounds = [(r + 1, i) for r in range(k) for i in states[:initial]]
+    expected = rounds[len(history) + len(pending) - trials :][:3]
+    known = sorted({o.features[0] for o in history if o.status == "complete"})
+
+    chosen = {"trials": trials, "initial": initial, "k": k, "threshold": threshold}
+    strategy = make_strategy("novelty", space, features=Features.circle(), settings=chosen)
+    found = strategy.propose(history, pending, 3, rng)
+    assert [(c.info["round"], c.warm_start) for c in found] == expected
+    for c in found:
+        assert c.params == history[c.warm_start].candidate.params
+        assert sorted(y for (y,) in c.info["avoid"]) == pytest.approx(known)
+        assert c.info["threshold"] == threshold
+
+
+def turn_between(a, b):
+    return abs(math.remainder(a - b, 2 * math.pi))
 
 
 def test_stage_two_waits_for_stage_one():

@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import optuna
 import pytest
+from optuna.testing import pytest_samplers
 from optuna.testing.pytest_samplers import BasicSamplerTestCase, RelativeSamplerTestCase, SingleOnlySamplerTestCase
 
 from search import BadFeatures, Features
@@ -21,6 +22,13 @@ def quiet():
 
 
 SUITES = (BasicSamplerTestCase, RelativeSamplerTestCase, SingleOnlySamplerTestCase)
+NOT_OURS = {"MultiObjectiveSamplerTestCase"}
+"""Its opposite is `SingleOnlySamplerTestCase`: a sampler either takes several objectives or refuses them."""
+
+
+def test_every_class_of_the_suite_is_run_or_known_not_to_apply():
+    shipped = {name for name in vars(pytest_samplers) if name.endswith("TestCase") and not name.startswith("_")}
+    assert shipped == {case.__name__ for case in SUITES} | NOT_OURS
 
 
 class TestCMFBOSamplerConforms(*SUITES):

@@ -94,6 +94,18 @@ GOOD = {"alpha": 0.0, "omega_x": 0.0, "rate": 1e-3}
         (Observation(Candidate(GOOD), math.nan, [0.0]), "history[1]: value: expected a finite number, found nan"),
         (Observation(Candidate(GOOD), 1.0, None), "history[1]: expected features for a complete trial, found None"),
         (Observation(Candidate(GOOD, z=1.5), 1.0, [0.0]), "history[1]: expected a difficulty z in [0, 1], found 1.5"),
+        (
+            Observation(Candidate(GOOD, z=math.nan), 1.0, [0.0]),
+            "history[1]: expected a difficulty z in [0, 1], found nan",
+        ),
+        (
+            Observation(Candidate({**GOOD, "omega_x": math.nan}), 1.0, [0.0]),
+            "history[1]: parameter 'omega_x': a float parameter: expected a finite number, found nan",
+        ),
+        (
+            Observation(Candidate(GOOD), 1.0, [0.0], cost=math.nan),
+            "history[1]: cost: expected a finite number, found nan",
+        ),
         (Observation(Candidate(GOOD), 1.0, [0.0], cost=-1.0), "history[1]: expected a cost of at least 0, found -1.0"),
         (Observation(Candidate(GOOD), 1.0, [0.0], status="done"), "found 'done'"),
         ({"params": GOOD}, "history[1]: expected an Observation, found"),

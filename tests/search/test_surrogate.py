@@ -31,6 +31,7 @@ def test_the_posterior_agrees_with_a_dense_solve(seed, n, e):
     mean, variance = gp.posterior(S)
     slow_mean, slow_variance = dense(X, Y[:, 0], S, w, 1.7, 0.01, 0.3)
     assert np.allclose(mean[:, 0], slow_mean, atol=1e-8)
+    assert np.allclose(gp.mean_at(S)[:, 0], slow_mean, atol=1e-8)
     assert np.allclose(1.7**2 * variance, slow_variance, atol=1e-8)
 
 

@@ -1,129 +1,15 @@
 """The coordinator over a real SQLite store, with a scripted dispatcher in place of workers."""
 
-import json
-from dataclasses import dataclass, field
-
 import pytest
+from driven import Scripted, World
 
-from services.admission import admit
-from services.coordinator import START_LEASE_SECONDS, WORKER_LEASE_SECONDS, Coordinator
-from services.dispatch.port import Assignment, Beat, Began, Crashed, Ended, Hindered, Reported, Stopped, Vanished
+from services.coordinator import START_LEASE_SECONDS, WORKER_LEASE_SECONDS
+from services.dispatch.port import Beat, Began, Crashed, Hindered, Reported, Stopped, Vanished
 from services.errors import DatabaseUnavailable, StudyDriven
-from services.proposing import InlineStrategist, proposal_key
-from services.spec_check import parse_study
+from services.proposing import proposal_key
 from services.states import AttemptState, StudyState, TrialState
-from services.store.open import open_store
 from services.store.port import Driver
-from workers.contracts import Cost, Job, Outcome
-
-STUDY = """
-name: s
-task: {name: point_jump}
-search: {strategy: random, trials: 3}
-training: {budget: {samples: 100}}
-resources: {parallel: 2}
-retries: {limit: 1, backoff_seconds: 2.0}
-stop_after_failures: 2
-seed: 5
-"""
-
-
-@dataclass
-class Scripted:
-    """A dispatcher whose workers do what the test says."""
-
-    size: int = 8
-    given: list[Assignment] = field(default_factory=list)
-    inbox: list = field(default_factory=list)
-    stopped: list[int] = field(default_factory=list)
-    killed: list[int] = field(default_factory=list)
-    over: set[int] = field(default_factory=set)
-    dropped: list[tuple[str, int]] = field(default_factory=list)
-
-    def pools(self):
-        return {"default": self.size}
-
-    def rooms(self, pool):
-        busy = {assignment.attempt for assignment in self.given if assignment.pool == pool} - self.over
-        return {"host": self.size - len(busy)}
-
-    def open(self, study_key, task):
-        pass
-
-    def start(self, assignment):
-        self.given.append(assignment)
-        return "scripted"
-
-    def stop(self, attempt):
-        self.stopped.append(attempt)
-
-    def kill(self, attempt):
-        self.killed.append(attempt)
-        self.over.add(attempt)
-
-    def poll(self, deliver, timeout):
-        messages, self.inbox = self.inbox, []
-        if messages:
-            deliver(messages)
-            self.over |= {m.attempt for m in messages if isinstance(m, Ended | Stopped | Crashed | Vanished)}
-
-    def drop_checkpoints(self, study_key, trial):
-        self.dropped.append((study_key, trial))
-
-    def close(self):
-        pass
-
-    def end(self, assignment, value=1.0, status="complete", **more):
-        outcome = Outcome(status, value=value if status == "complete" else None, cost=Cost(10, 1.0), **more)
-        self.inbox.append(Ended(assignment.attempt, assignment.token, outcome=outcome.to_json()))
-
-
-class Clock:
-    def __init__(self):
-        self.now = 1000.0
-
-    def __call__(self):
-        return self.now
-
-    def sleep(self, seconds):
-        self.now += seconds
-
-
-class World:
-    """One driver over one store."""
-
-    def __init__(self, path, text=STUDY, overrides=()):
-        self.store = open_store(path)
-        self.clock = Clock()
-        self.dispatcher = Scripted()
-        self.row = admit(self.store, parse_study(text, name="s.yaml", overrides=list(overrides)))
-        self.coordinator = self.driver()
-
-    def driver(self, dispatcher=None):
-        return Coordinator(
-            self.store,
-            dispatcher or self.dispatcher,
-            InlineStrategist(),
-            clock=self.clock,
-            sleep=self.clock.sleep,
-        )
-
-    def steps(self, count=4, seconds=1.0):
-        for _ in range(count):
-            self.coordinator.step()
-            self.clock.now += seconds
-
-    def trials(self):
-        return self.store.trials(self.row.id)
-
-    def states(self):
-        return [trial.state.value for trial in self.trials()]
-
-    def attempts(self, number):
-        return [attempt.state for attempt in self.store.attempts(self.store.trial(self.row.id, number).id)]
-
-    def events(self, kind):
-        return [event for event in self.store.events(study_id=self.row.id) if event.kind == kind]
+from workers.contracts import Job
 
 
 @pytest.fixture(params=[()])
@@ -359,6 +245,28 @@ def test_a_study_whose_every_trial_fails_stops_with_the_reason(world):
     assert row.reason == "the last 2 trials all failed (stop_after_failures: 2); the newest: no module"
 
 
+def test_a_study_of_which_nothing_but_divergence_comes_stops_with_the_reason(world):
+    """`stop_after_failures` is 2; four times as many, from the first trial on."""
+    with world.store.transaction() as change:
+        change.extend("s", trials=20)
+    done = 0
+    for _ in range(20):
+        world.steps()
+        row = world.store.study("s")
+        if row.state is StudyState.FAILED:
+            break
+        for assignment in world.dispatcher.given[done:]:
+            world.dispatcher.end(assignment, status="diverged", message="iteration 1: reward became NaN")
+        done = len(world.dispatcher.given)
+    assert row.state is StudyState.FAILED
+    diverged = row.counts["diverged"]
+    assert 8 <= diverged < 8 + 4
+    assert row.reason.startswith(
+        f"all of the first {diverged} trials diverged; the newest: iteration 1: reward became NaN;"
+    )
+    assert "halma task check" in row.reason
+
+
 def test_a_failed_study_that_is_resumed_gets_a_new_chance(world):
     test_a_study_whose_every_trial_fails_stops_with_the_reason(world)
     with world.store.transaction() as change:
@@ -387,6 +295,55 @@ def test_pause_stops_at_checkpoints_and_the_next_driver_goes_on(world):
     world.steps()
     assert world.attempts(0) == [AttemptState.PREEMPTED, AttemptState.RUNNING]
     assert world.trials()[0].retries == 0
+
+
+def test_a_pause_that_is_taken_back_in_time_only_costs_a_stop(world):
+    world.steps()
+    first, second = world.dispatcher.given
+    ask(world, "pause")
+    world.steps(1)
+    world.dispatcher.inbox.append(Stopped(first.attempt, first.token))
+    world.steps(1)
+    ask(world, "run")
+    world.dispatcher.inbox.append(Stopped(second.attempt, second.token))
+    world.steps(4)
+    row = world.store.study("s")
+    assert (row.state, row.driver is not None) == (StudyState.RUNNING, True)
+    assert world.attempts(0) == world.attempts(1) == [AttemptState.PREEMPTED, AttemptState.RUNNING]
+
+
+def test_an_extension_between_the_last_result_and_the_release_is_not_lost(world):
+    world.steps()
+    for _ in range(2):
+        for given in world.dispatcher.given:
+            if given.attempt not in world.dispatcher.over:
+                world.dispatcher.end(given)
+        world.steps(1)
+    (last,) = [given for given in world.dispatcher.given if given.attempt not in world.dispatcher.over]
+    world.dispatcher.end(last)
+    world.coordinator._control_due = world.clock.now + 60  # it has just looked
+    with world.store.transaction() as change:
+        change.extend("s", trials=2)
+    world.steps(3)
+    assert world.store.study("s").state is StudyState.RUNNING
+    assert world.states() == ["complete"] * 3 + ["running"] * 2
+
+
+def ask(world, wanted):
+    with world.store.transaction() as change:
+        change.ask("s", wanted)
+
+
+def test_a_running_study_follows_what_is_changed_of_it(world):
+    world.steps()
+    with world.store.transaction() as change:
+        change.amend("s", {"resources.parallel": 3, "retries.limit": 0})
+    world.steps()
+    assert [given.trial for given in world.dispatcher.given] == [0, 1, 2]
+    given = world.dispatcher.given[0]
+    world.dispatcher.inbox.append(Vanished(given.attempt, given.token, reason="gone"))
+    world.steps(1)
+    assert world.states()[0] == "failed"
 
 
 def test_a_worker_that_reaches_no_checkpoint_in_time_is_ended(world):
@@ -556,6 +513,10 @@ def test_a_database_that_can_be_read_and_not_written_is_waited_for(tmp_path):
     assert world.trials()[0].value == 7.0
     assert world.clock.now - began > 3.0
     assert world.coordinator.trouble() == ""
+    assert world.told == [
+        "Nothing can be recorded, so nothing new is started until it can; running trainings go on. away",
+        "The database can be written again: going on.",
+    ]
     back = [event for event in world.store.events() if event.kind == "database_back"]
     assert [event.payload["reason"] for event in back] == ["away"]
     world.store.close()
@@ -578,29 +539,4 @@ def test_a_read_that_fails_does_not_end_the_driver(tmp_path):
     world.dispatcher.poll = lambda deliver, timeout: world.clock.sleep(1.0)
     world.coordinator.serve()
     assert reads["left"] == 0
-    world.store.close()
-
-
-def test_studies_of_higher_priority_get_the_slots_first(tmp_path):
-    world = World(tmp_path / "halma.db", overrides=["search.trials=9", "resources.parallel=2"])
-    admit(world.store, parse_study(STUDY, name="s.yaml", overrides=["name=urgent", "priority=5"]))
-    world.dispatcher.size = 2
-    world.coordinator.take("s")
-    world.coordinator.take("urgent")
-    world.steps()
-    assert {json.loads(given.job)["study"] for given in world.dispatcher.given} == {"urgent"}
-    world.store.close()
-
-
-def test_two_equal_studies_share_the_pool(tmp_path):
-    world = World(tmp_path / "halma.db", overrides=["resources.parallel=4", "search.trials=9"])
-    admit(
-        world.store, parse_study(STUDY, name="s.yaml", overrides=["name=t", "resources.parallel=4", "search.trials=9"])
-    )
-    world.dispatcher.size = 4
-    for name in ("s", "t"):
-        world.coordinator.take(name)
-    world.steps(6)
-    shares = [json.loads(given.job)["study"] for given in world.dispatcher.given]
-    assert sorted(shares) == ["s", "s", "t", "t"]
     world.store.close()

@@ -12,6 +12,7 @@ import pytest
 
 from services.admission import admit, find
 from services.artifacts import open_artifacts
+from services.budget import most_trials
 from services.coordinator import Coordinator
 from services.dispatch.inline import InlineDispatcher
 from services.problems import BadStudy
@@ -19,7 +20,7 @@ from services.proposing import InlineStrategist
 from services.report import distinct_trials
 from services.spec import ResolvedSpec, StudySpec
 from services.spec_check import parse_study
-from services.stages import most_trials, stages_of_study
+from services.stages import stages_of_study
 from services.states import StudyState, TrialState
 from services.store.open import open_store
 from services.translate import job_of, settings_in
@@ -162,6 +163,46 @@ def test_the_stages_of_a_real_training_hand_its_policy_on(tmp_path):
     # The polish has settings of its own: its bar is higher than that of the search.
     assert max(t.details["bar"] for t in by_stage["search"]) <= 0.7
     assert max(t.details["bar"] for t in by_stage["polish"]) > 0.7
+    service.store.close()
+
+
+JUMPS = """
+name: s
+task:
+  name: high_jump
+  settings: {formulation: flight, first_bar: 0.45, lowest_bar: 0.45, bar_step: 0.05, highest_bar: 0.7, z_freeze: 0.5}
+space:
+  alpha: {type: float, low: 0.4, high: 0.6}
+  omega_x: {type: float, low: -3.0, high: -2.5}
+search: {strategy: sobol, trials: 1}
+training:
+  budget: {iterations: 1}
+  network: {hidden: [16]}
+  ppo: {samples: 30, environments: 2, minibatch: 16, epochs: 2, sigma_start: 0.1}
+stages:
+  novelty: {kind: novelty, after: search, strategies: 1, trainings: 1}
+  polish: {kind: polish, after: search, strategies: 1, rounds: 1, settings: {z_freeze: null}}
+"""
+
+
+def test_an_athlete_goes_through_the_stages_too(tmp_path):
+    service = Service(tmp_path, JUMPS)
+    assert service.drive().state is StudyState.COMPLETE
+    trials = {trial.stage: trial for trial in service.trials()}
+    assert {stage: trial.state for stage, trial in trials.items()} == dict.fromkeys(
+        ("search", "novelty", "polish"), TrialState.COMPLETE
+    )
+    assert trials["novelty"].info["avoid"] == [list(trials["search"].features)]
+    for stage in ("novelty", "polish"):
+        assert trials[stage].details["warm_start"] == {
+            "parent": 0,
+            "networks": True,
+            "message": "started from the parent's policy",
+        }
+    levels = {stage: service.store.metrics(trial.id)[0].values["level"] for stage, trial in trials.items()}
+    # Something new is learnt from the first bar on, a polish from a little below what is cleared.
+    assert levels["search"] == levels["novelty"] == 0.45
+    assert levels["polish"] == pytest.approx(max(0.45, trials["search"].value - 0.1))
     service.store.close()
 
 

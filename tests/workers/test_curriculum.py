@@ -1,7 +1,7 @@
 import pytest
 
 from workers.contracts import BadJob
-from workers.learning.problem import SuccessCurriculum
+from workers.learning.problem import RewardCurriculum, SuccessCurriculum
 
 
 def played(curriculum, successes, episodes=20):
@@ -66,3 +66,29 @@ def test_an_environment_without_success_is_refused():
 def test_a_curriculum_that_makes_no_sense_is_refused(arguments, message):
     with pytest.raises(BadJob, match=message):
         SuccessCurriculum(*arguments)
+
+
+def test_rewards_that_add_up_raise_the_level_as_published():
+    curriculum = RewardCurriculum(0.5, 0.01, freeze=0.52, threshold=30.0)
+    levels = []
+    for _ in range(37):
+        curriculum.update([0.5, 1.2], [])
+        levels.append(curriculum.level)
+    # 0.85 an iteration: 36 of them come to 30.6.
+    assert levels[34:] == [0.5, 0.51, 0.51]
+    assert curriculum.state() == {"steps": 1, "accumulated": pytest.approx(0.85), "mastered": 0.5}
+    again = RewardCurriculum(0.5, 0.01, freeze=0.52, threshold=30.0)
+    again.load(curriculum.state())
+    assert (again.level, again.metrics()) == (0.51, curriculum.metrics())
+    for _ in range(2):
+        assert not again.finished()
+        again.update([30.0], [])
+    assert again.level == 0.52
+    again.update([30.0], [])
+    assert again.finished()
+
+
+@pytest.mark.parametrize("wrong", [{"step": 0.0}, {"threshold": 0.0}])
+def test_a_reward_curriculum_needs_a_step_and_a_threshold(wrong):
+    with pytest.raises(BadJob, match="expected a step and a threshold above 0"):
+        RewardCurriculum(**{"start": 0.5, "step": 0.01, "threshold": 30.0} | wrong)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from workers.contracts import BadSetting
 from workers.physics.world import World
 from workers.tasks.high_jump import takeoff
 from workers.tasks.high_jump.env import HighJumpEnv
@@ -106,3 +107,17 @@ def test_every_corner_of_the_default_space_starts_on_its_foot():
             world.stand()
             assert world.advance().ground == {world.athlete.link["right_ankle"]}
     world.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("alpha", 4.0, "expected from -3.2 to 3.2 rad, found 4"),
+        ("omega_x", -20.0, "expected from -15 to 15 rad/s, found -20"),
+        ("v_z", float("nan"), "expected from -8 to 8 m/s, found nan"),
+    ],
+)
+def test_a_take_off_state_that_nobody_takes_off_with_is_refused(name, value, message):
+    with pytest.raises(BadSetting) as refusal:
+        HighJumpSettings().take_off({name: value})
+    assert str(refusal.value) == f"space.{name}: {message}"

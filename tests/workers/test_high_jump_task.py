@@ -181,8 +181,8 @@ def test_bars_are_tried_from_above_the_level_downwards():
     problem = task.problem_of(
         job(task_settings={"first_bar": 0.2, "lowest_bar": 0.3, "bar_step": 0.05, "highest_bar": 0.6})
     )
-    assert problem.bars_from(0.1) == [0.5, 0.45, 0.4, 0.35, 0.3]
-    assert problem.bars_from(0.55) == [0.6, 0.55, 0.5, 0.45, 0.4, 0.35, 0.3]
+    assert problem.levels_from(0.1) == [0.5, 0.45, 0.4, 0.35, 0.3]
+    assert problem.levels_from(0.55) == [0.6, 0.55, 0.5, 0.45, 0.4, 0.35, 0.3]
 
 
 def test_a_stored_policy_is_judged_with_its_success_rate(trial):

@@ -16,7 +16,7 @@ from workers.run import run
 from workers.tasks.high_jump import behaviour
 from workers.tasks.high_jump.env import HighJumpEnv
 from workers.tasks.high_jump.settings import HighJumpSettings
-from workers.tasks.high_jump.task import HighJumpProblem, with_bar
+from workers.tasks.high_jump.task import JumpProblem, with_bar
 
 FACING = behaviour.FEATURES["facing"]
 CIRCLE = FeatureSpec("circle", ("angle",), distinct=0.5)
@@ -134,7 +134,7 @@ def test_a_trained_novelty_is_judged_like_any_other_jump(tmp_path):
 
 def start(cleared, novelty=None, **settings):
     parsed = HighJumpSettings.parse({"first_bar": 0.2, "bar_step": 0.02, "highest_bar": 1.0} | settings)
-    return HighJumpProblem(parsed, parsed.take_off(FLOP), novelty, cleared).curriculum().level
+    return JumpProblem(parsed, parsed.take_off(FLOP), novelty, cleared).curriculum().level
 
 
 def test_a_training_that_goes_on_begins_a_little_below_what_is_cleared():
@@ -147,10 +147,10 @@ def test_a_training_that_goes_on_begins_a_little_below_what_is_cleared():
 
 def test_the_search_ends_at_z_freeze_and_a_polish_goes_beyond():
     frozen = HighJumpSettings.parse({"z_freeze": 1.0})
-    assert HighJumpProblem(frozen, frozen.take_off(FLOP)).curriculum().freeze == 1.0
+    assert JumpProblem(frozen, frozen.take_off(FLOP)).curriculum().freeze == 1.0
     polish = HighJumpSettings.parse({})
-    assert HighJumpProblem(polish, polish.take_off(FLOP)).curriculum().freeze == 2.5
-    with pytest.raises(BadJob, match=r"expected a bar from first_bar, 0\.2, to highest_bar, 2\.5, found 2\.6"):
+    assert JumpProblem(polish, polish.take_off(FLOP)).curriculum().freeze == 2.5
+    with pytest.raises(BadJob, match=r"expected a level from first_bar, 0\.2, to highest_bar, 2\.5, found 2\.6"):
         HighJumpSettings.parse({"z_freeze": 2.6})
 
 

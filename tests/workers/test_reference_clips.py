@@ -9,17 +9,25 @@ import numpy as np
 import pybullet_data
 import pytest
 
-from workers.contracts import BadJob
+from workers.physics.clips import BadClip
 from workers.physics.world import FRAME, World
-from workers.reference import read_clip, replay_of_clip
+from workers.reference import replay_of_clip
 from workers.replay import Recorder, Replay
 
 CLIP = (Path(pybullet_data.getDataPath()) / "data" / "motions" / "humanoid3d_jump.txt").read_text()
+FRAMES = np.array(json.loads(CLIP)["Frames"])
+
+
+def spoiled(column, value):
+    """The clip with one column of numbers set."""
+    frames = FRAMES.copy()
+    frames[:, column] = value
+    return json.dumps({"Frames": frames.tolist()})
 
 
 def test_a_clip_keeps_its_duration_and_its_root_and_turns_to_the_bar():
     replay = replay_of_clip(CLIP, 0.7)
-    frames = read_clip(CLIP)
+    frames = FRAMES
     assert replay.seconds == pytest.approx(frames[:-1, 0].sum(), abs=1.5 * FRAME)
     # a root's height is that of the clip, at the clip's own times
     times = np.concatenate([[0], np.cumsum(frames[:-1, 0])])
@@ -33,7 +41,7 @@ def test_a_clip_keeps_its_duration_and_its_root_and_turns_to_the_bar():
 
 
 def test_a_clip_that_travels_comes_along_x():
-    frames = read_clip(CLIP)
+    frames = FRAMES.copy()
     frames[:, 1], frames[:, 3] = 0.0, np.linspace(0, 3, len(frames))
     path = replay_of_clip(json.dumps({"Frames": frames.tolist()}), 0.0).arrays["com"]
     top = int(np.argmax(path[:, 1]))
@@ -44,14 +52,17 @@ def test_a_clip_that_travels_comes_along_x():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("no JSON", "expected JSON with `Frames`"),
-        ('{"Frames": [[1, 2], [3, 4]]}', "expected at least 2 frames of 44 numbers .* found 2 x 2"),
-        (json.dumps({"Frames": [[0.0] * 44] * 3}), "durations above 0 s"),
-        (json.dumps({"Frames": [[20.0] * 44] * 3}), "at most 30 s, found 40.0 s"),
+        ("no JSON", r'clip: expected a motion clip \(JSON with "Frames"\)'),
+        ("[" * 100_000, r'clip: expected a motion clip \(JSON with "Frames"\)'),
+        ('{"Frames": [[1, 2], [3, 4]]}', r"clip: frame 0: expected 44 values .* found 2 values"),
+        ('{"Frames": ["' + "a" * 9000 + '", 1]}', r"clip: frame 0: expected 44 values .{,200}$"),
+        (spoiled(0, 0.0), "clip: frame 0: expected a duration above 0 s, found 0"),
+        (spoiled(0, 20.0), r"clip: expected at most 30 s, found \d+.0 s"),
+        (spoiled(5, 3.0), r"clip: frame \d+: root: expected a unit quaternion"),
     ],
 )
 def test_what_is_no_clip_is_told(text, said):
-    with pytest.raises(BadJob, match=said):
+    with pytest.raises(BadClip, match=said):
         replay_of_clip(text, 0.0)
 
 

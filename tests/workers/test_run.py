@@ -41,6 +41,7 @@ def test_a_divergence_is_an_outcome_with_iteration_and_quantity(tmp_path):
     found = run(job(task=here("Nan"), training=QUICK), LocalContext(tmp_path))
     assert (found.status, found.message) == ("diverged", "iteration 1: reward became NaN")
     assert found.details == {"iteration": 1, "quantity": "reward"}
+    assert found.cost.samples == 1, "what was played has been paid for"
 
 
 @pytest.mark.parametrize(

@@ -232,3 +232,16 @@ class Policy:
     def sha256(self) -> str:
         """Hash of all weights, statistics and sizes, hexadecimal."""
         return hashlib.sha256(self.to_bytes()).hexdigest()
+
+
+def with_note(policy: bytes, name: str, value: float) -> bytes:
+    """A stored policy that carries a number of its task's own (m of bar, ...); the learner reads it like any other."""
+    header = json.loads(policy[8 : 8 + int.from_bytes(policy[:8], "little")])  # the format's own layout
+    return save({**load(policy), name: np.array(value)}, header["__metadata__"])
+
+
+def note_of(policy: bytes, name: str) -> float | None:
+    """The number that `with_note` put there, or None. Raises `BadJob` where it is no policy at all."""
+    Policy.from_bytes(policy)
+    tensors = load(policy)
+    return float(tensors[name]) if name in tensors else None

@@ -74,6 +74,8 @@ class _Training:
         self.job, self.context, self.curriculum, self.settings, self.envs = job, context, curriculum, settings, envs
         self.learner = Learner(job, settings, observation_size(envs[0]), action_map(envs[0]))
         self.progress = Progress()
+        self.unpaid = 0
+        """Samples that were played and are not counted yet."""
         self.metrics: Mapping[str, float] = {}
         self.lineage: Mapping[str, JSON] = {}
 
@@ -91,6 +93,7 @@ class _Training:
                 metrics = self.iterate()
             except NotFinite as error:
                 progress.seconds += time.perf_counter() - mark
+                progress.samples += error.samples + self.unpaid
                 raise Diverged(progress.iteration + 1, error.quantity, in_words(error.value), progress.cost) from error
             elapsed = time.perf_counter() - mark
             mark += elapsed
@@ -155,12 +158,14 @@ class _Training:
         # Environments that all begin an episode at once all finish it: no more of them than the iteration has room for.
         room = max(1, round(ppo.samples / progress.length)) if progress.length else ppo.environments
         episodes = learner.rollout(self.envs[:room], self.job, iteration, sampling=iteration, level=level)
+        self.unpaid = sum(len(e) for e in episodes)
         batch = learner.batch(episodes)
         learnt = learner.update(batch, iteration, stream(self.job, "minibatches", iteration))
         if iteration <= ppo.normaliser_iterations:
             self.watch(episodes)
         else:
-            progress.samples += sum(len(e) for e in episodes)
+            progress.samples += self.unpaid
+        self.unpaid = 0
         progress.length = float(np.mean([len(e) for e in episodes]))
         returns = [e.total for e in episodes]
         successes = [e.success for e in episodes if e.success is not None]

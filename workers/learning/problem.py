@@ -140,6 +140,61 @@ class SuccessCurriculum:
         return {} if self.mastered is None else {"level_mastered": self.mastered}
 
 
+@dataclass(slots=True)
+class RewardCurriculum:
+    """Raises the level one step whenever the mean returns of the iterations add up to a threshold (Yin et al. 2021).
+
+    Args:
+        start: first level.
+        step: one step, in the level's unit.
+        freeze: the highest level; mastered (the threshold once more), the training is finished. None: never.
+        threshold: of the accumulated mean return; it counts from 0 at each level.
+    """
+
+    start: float
+    step: float
+    freeze: float | None = None
+    threshold: float = 30.0
+    steps: int = field(default=0, init=False)
+    accumulated: float = field(default=0.0, init=False)
+    mastered: float | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        if not (self.step > 0 and self.threshold > 0):
+            raise BadJob(f"curriculum: expected a step and a threshold above 0, found {self.step} and {self.threshold}")
+
+    @property
+    def level(self) -> float:
+        """Start plus whole steps, at most `freeze`."""
+        level = round(self.start + self.steps * self.step, 9)
+        return level if self.freeze is None else min(level, self.freeze)
+
+    def update(self, returns: Sequence[float], successes: Sequence[bool]) -> None:  # noqa: ARG002 - only reward counts
+        """Add the mean return, and raise the level where the sum has come to the threshold."""
+        self.accumulated += sum(returns) / max(1, len(returns))
+        if self.accumulated >= self.threshold:
+            self.mastered = self.level
+            self.steps += 1
+            self.accumulated = 0.0
+
+    def finished(self) -> bool:
+        """Whether `freeze` has been mastered."""
+        return self.freeze is not None and self.mastered is not None and self.mastered >= self.freeze
+
+    def state(self) -> dict[str, JSON]:
+        """Steps taken, what has added up, and the highest level mastered."""
+        return {"steps": self.steps, "accumulated": self.accumulated, "mastered": self.mastered}
+
+    def load(self, state: Mapping[str, JSON]) -> None:
+        """Continue from `state`."""
+        self.steps, self.accumulated, self.mastered = state["steps"], state["accumulated"], state["mastered"]
+
+    def metrics(self) -> dict[str, float]:
+        """What has added up at this level, and the highest level mastered, once there is one."""
+        found = {"accumulated_return": self.accumulated}
+        return found if self.mastered is None else {**found, "level_mastered": self.mastered}
+
+
 class Diverged(WorkerError):
     """A quantity of the training became NaN or infinite.
 

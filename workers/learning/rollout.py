@@ -24,12 +24,14 @@ class NotFinite(Exception):
     Args:
         quantity: `observation` or `reward`.
         value: what it gave.
+        samples: steps that were played until then, which nobody has counted yet.
     """
 
-    def __init__(self, quantity: str, value: float) -> None:
+    def __init__(self, quantity: str, value: float, samples: int = 0) -> None:
         super().__init__(f"{quantity} became {in_words(value)}")
         self.quantity = quantity
         self.value = value
+        self.samples = samples
 
 
 def in_words(value: float) -> str:
@@ -134,11 +136,14 @@ def collect(
         current[i] = observation
         playing[i] = Episode()
 
+    def played() -> int:
+        return sum(map(len, finished)) + sum(len(playing[i]) for i in active)
+
     for i in active:
         begin(i, fresh=True)
     while active:
         observations = current[active]
-        _check_finite(observations)
+        _check_finite(observations, played)
         chosen = sample(policy.output(observations))
         given: Sequence[Any] = (chosen + actions.start).tolist() if discrete else list(actions.to_environment(chosen))
         still = []
@@ -146,7 +151,7 @@ def collect(
             observation, reward, terminated, truncated, info = envs[i].step(given[row])
             reward = float(reward)
             if not math.isfinite(reward):
-                raise NotFinite("reward", reward)
+                raise NotFinite("reward", reward, played() + 1)
             episode = playing[i]
             episode.observations.append(observations[row])
             episode.actions.append(chosen[row])
@@ -163,7 +168,7 @@ def collect(
                 still.append(i)
                 continue
             episode.last = current[i].copy()
-            _check_finite(episode.last)
+            _check_finite(episode.last, played)
             episode.terminated, episode.info = bool(terminated), info
             finished.append(episode)
             done += len(episode)
@@ -195,12 +200,12 @@ def play(
     return episode
 
 
-def _check_finite(observations: NDArray[np.float64]) -> None:
+def _check_finite(observations: NDArray[np.float64], played: Callable[[], int]) -> None:
     if math.isfinite(observations.sum()):  # one sum tells of all, and is the common case
         return
     bad = observations[~np.isfinite(observations)]
     if bad.size:
-        raise NotFinite("observation", float(bad[0]))
+        raise NotFinite("observation", float(bad[0]), played())
 
 
 def _check_shape(observation: Any, shape: tuple[int, ...]) -> None:

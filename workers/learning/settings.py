@@ -120,6 +120,13 @@ class Budget:
     samples: int | None = setting(None, Rule("int", 1, optional=True))
     iterations: int | None = setting(None, Rule("int", 1, optional=True))
 
+    def part(self, share: float) -> Budget:
+        """A share in (0, 1] of it, at least one sample and one iteration."""
+        samples, iterations = (
+            None if whole is None else max(1, round(share * whole)) for whole in (self.samples, self.iterations)
+        )
+        return Budget(samples, iterations)
+
 
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
@@ -191,21 +198,29 @@ class TrainingSettings:
     budget: Budget = field(default_factory=Budget)
     network: NetworkSettings = field(default_factory=NetworkSettings)
     ppo: PPOSettings = field(default_factory=PPOSettings)
+    trainer: str = "halma"
 
     @classmethod
-    def parse(cls, training: Mapping[str, JSON], defaults: TrainingSettings | None = None) -> TrainingSettings:
+    def parse(
+        cls,
+        training: Mapping[str, JSON],
+        defaults: TrainingSettings | None = None,
+        *,
+        trainers: tuple[str, ...] = ("halma",),
+    ) -> TrainingSettings:
         """The settings that a study's `training` gives, over a task's defaults.
 
         A budget given replaces the default budget as a whole. Raises `BadSetting` with section `training` and the
         dotted field for an unknown key (naming the nearest known one), a wrong type, a value out of range, or no
-        budget at all.
+        budget at all. `trainers` are those that the task can be trained by.
         """
         base = cls() if defaults is None else defaults
-        refuse_unknown("training", "", training, ("budget", "network", "ppo"))
+        refuse_unknown("training", "", training, ("budget", "network", "ppo", "trainer"))
+        trainer = Rule("str", choices=trainers).read("training", "trainer", training.get("trainer", "halma"))
         budget = _section("budget", training, Budget() if training.get("budget") else base.budget)
         if budget.samples is None and budget.iterations is None:
             raise BadSetting("training", "budget", "expected samples, iterations or both, found neither")
-        return cls(budget, _section("network", training, base.network), _section("ppo", training, base.ppo))
+        return cls(budget, _section("network", training, base.network), _section("ppo", training, base.ppo), trainer)
 
     def to_json(self) -> dict[str, JSON]:
         """As `training` in a study file, all defaults written out."""
@@ -224,6 +239,32 @@ def refuse_unknown(section: str, prefix: str, given: Iterable[str], known: Itera
         near = difflib.get_close_matches(str(key), names, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(names) or 'none'}"
         raise BadSetting(section, f"{prefix}{key}", f"unknown setting; {hint}")
+
+
+_SEARCHED: Mapping[str, tuple[str, ...]] = {
+    "ppo": tuple(f.name for f in dataclasses.fields(PPOSettings)),
+    "network": ("activation",),
+}
+
+
+def check_searched(name: str) -> None:
+    """Refuse a parameter that is no setting of the learner (`ppo.clip`, `network.activation`); `BadSetting`."""
+    head, _, tail = name.partition(".")
+    if tail not in _SEARCHED.get(head, ()):
+        known = [f"{h}.{t}" for h, names in _SEARCHED.items() for t in names]
+        near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+        hint = f"; did you mean {' or '.join(repr(n) for n in near)}?" if near else ""
+        raise BadSetting("space", name, f"no setting of the learner{hint}")
+
+
+def with_searched(training: Mapping[str, JSON], params: Mapping[str, JSON]) -> dict[str, JSON]:
+    """A study's `training` with a candidate's settings of the learner laid over it. Raises `BadSetting`."""
+    merged: dict[str, JSON] = dict(training)
+    for name, value in params.items():
+        check_searched(name)
+        head, _, tail = name.partition(".")
+        merged[head] = {**(merged.get(head) or {}), tail: value}
+    return merged
 
 
 _Section = TypeVar("_Section", Budget, NetworkSettings, PPOSettings)

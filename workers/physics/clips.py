@@ -27,6 +27,9 @@ _UNIT = 0.5
 """Furthest that the length of a quaternion may be from 1. Clips that were blended number by number are off: the
 packaged kick by 0.42. Whatever is made of them here depends on the rotation alone."""
 
+_SHOWN = 80
+"""Characters of what was found, in messages."""
+
 
 class BadClip(BadJob):
     """A file holds no motion of this athlete. The message says where, what was expected, and what was found."""
@@ -55,6 +58,25 @@ class Clip:
         return np.asarray((self.root[frame + 1] - self.root[frame - 1]) / (2 * self.period))
 
 
+@dataclass(frozen=True, slots=True)
+class Written:
+    """A motion as a text of the DeepMimic form has it; quaternions are x y z w and nearly unit ones.
+
+    Args:
+        durations: of the frames ``[frame]``, s; that of the last one plays no part.
+        root: positions of the root ``[frame, 3]``, m, y up.
+        orientation: of the root ``[frame, 4]``.
+        quaternions: of the spherical joints ``[frame, 8, 4]``, in the order of `SPHERICAL`.
+        angles: of the hinges ``[frame, 4]``, in the order of `REVOLUTE`, rad.
+    """
+
+    durations: Array
+    root: Array
+    orientation: Array
+    quaternions: Array
+    angles: Array
+
+
 def packaged() -> list[Path]:
     """The clips of this athlete that pybullet_data carries, by name."""
     return sorted((Path(pybullet_data.getDataPath()) / "data" / "motions").glob("humanoid3d_*.txt"))
@@ -68,7 +90,29 @@ def load(name: str) -> Clip:
 
 def read(path: Path) -> Clip:
     """The clip in a file of the DeepMimic form. Raises `BadClip`."""
-    frames = _frames(path)
+    try:
+        text = path.read_text()
+    except OSError as error:
+        raise BadClip(f"{path}: expected a motion clip, found nothing to read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise BadClip(f"{path}: expected a motion clip, found bytes that are no text") from None
+    written = parse(text, str(path))
+    return from_joints(
+        float(written.durations[0]), written.root, written.orientation, written.quaternions, written.angles
+    )
+
+
+def parse(text: str, name: str) -> Written:
+    """The motion that a text of the DeepMimic form holds.
+
+    Args:
+        text: the text.
+        name: what messages call it.
+
+    Raises:
+        BadClip: it holds none.
+    """
+    frames = _frames(text, name)
     columns: dict[str, Array] = {}
     at = 8  # duration, root position, root orientation
     for joint in _ORDER:
@@ -78,11 +122,11 @@ def read(path: Path) -> Clip:
     # the text writes w first
     orientation = np.roll(frames[:, 4:8], -1, axis=1)
     quaternions = np.stack([np.roll(columns[joint], -1, axis=1) for joint in SPHERICAL], 1)
-    _check_units(path, "root", orientation)
+    _check_units(name, "root", orientation)
     for i, joint in enumerate(SPHERICAL):
-        _check_units(path, joint, quaternions[:, i])
+        _check_units(name, joint, quaternions[:, i])
     angles = np.concatenate([columns[joint] for joint in REVOLUTE], 1)
-    return from_joints(float(frames[0, 0]), frames[:, 1:4], orientation, quaternions, angles)
+    return Written(frames[:, 0], frames[:, 1:4], orientation, quaternions, angles)
 
 
 def from_joints(period: float, root: Array, orientation: Array, quaternions: Array, angles: Array) -> Clip:
@@ -105,27 +149,26 @@ def from_joints(period: float, root: Array, orientation: Array, quaternions: Arr
     return Clip(period, root, orientation / length, pose, rates)
 
 
-def _frames(path: Path) -> Array:
+def _frames(text: str, path: str) -> Array:
     """The numbers of a clip ``[frame, 44]``."""
     try:
-        written = json.loads(path.read_text())
-        rows = written["Frames"]
-    except OSError as error:
-        raise BadClip(f"{path}: expected a motion clip, found nothing to read ({error.strerror})") from None
-    except (ValueError, KeyError, TypeError):
+        rows = json.loads(text)["Frames"]
+    # Text from anywhere: brackets in brackets exhaust the stack of the reader.
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise BadClip(f'{path}: expected a motion clip (JSON with "Frames"), found something else') from None
     if not isinstance(rows, list) or len(rows) < 2:
-        raise BadClip(f"{path}: expected at least 2 frames, found {len(rows) if isinstance(rows, list) else rows!r}")
+        found = len(rows) if isinstance(rows, list) else repr(rows)[:_SHOWN]
+        raise BadClip(f"{path}: expected at least 2 frames, found {found}")
     for i, row in enumerate(rows):
         if not isinstance(row, list) or len(row) != _VALUES:
-            found = f"{len(row)} values" if isinstance(row, list) else repr(row)
+            found = f"{len(row)} values" if isinstance(row, list) else repr(row)[:_SHOWN]
             raise BadClip(
                 f"{path}: frame {i}: expected {_VALUES} values (duration, root, 12 joints), found {found}; "
                 "is it a clip of another character?"
             )
     try:
         frames = np.array(rows, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise BadClip(f"{path}: expected numbers only, found something else among them") from None
     if not np.isfinite(frames).all():
         raise BadClip(f"{path}: frame {int(np.argmax(~np.isfinite(frames).all(1)))}: expected finite numbers")
@@ -134,7 +177,7 @@ def _frames(path: Path) -> Array:
     return frames
 
 
-def _check_units(path: Path, joint: str, quaternions: NDArray[np.float64]) -> None:
+def _check_units(path: str, joint: str, quaternions: NDArray[np.float64]) -> None:
     lengths = np.linalg.norm(quaternions, axis=1)
     frame = int(np.abs(lengths - 1).argmax())
     if abs(lengths[frame] - 1) > _UNIT:

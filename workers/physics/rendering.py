@@ -1,6 +1,7 @@
 """Pictures and videos of recorded jumps by Bullet's software renderer: no display, no GPU.
 
-The wall that the athlete jumps over in training is drawn as what it stands for: a bar between two posts.
+The wall that the athlete jumps over in training is drawn as what it stands for: a bar between two posts. An obstacle is
+drawn as the box that it is.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from workers.contracts import BadJob
-from workers.physics.athlete import Athlete
+from workers.physics.athlete import JOINTS, Athlete
 from workers.physics.rotations import Array
-from workers.physics.world import quiet
+from workers.physics.world import WALL_HALF_THICKNESS, quiet
 from workers.replay import Replay
 
 Picture = NDArray[np.uint8]
@@ -29,6 +30,7 @@ Picture = NDArray[np.uint8]
 _SKIN = (0.85, 0.66, 0.53, 1.0)
 _COLOURS = {"left": (0.93, 0.49, 0.19, 1.0), "right": (0.16, 0.45, 0.74, 1.0), "trunk": (0.30, 0.33, 0.38, 1.0)}
 _BAR_HALF_WIDTH = 2.0
+_KINDS = {"sphere": bullet.GEOM_SPHERE, "capsule": bullet.GEOM_CAPSULE, "box": bullet.GEOM_BOX}
 _EYE = np.array([-1.7, 0.55, 3.1])
 """From what is looked at to the camera, m: beside the bar, on the side that the athlete comes from."""
 
@@ -42,7 +44,7 @@ class Size:
 
 
 class Scene:
-    """A Bullet world with the athlete, the bar and the mat of one replay, to be looked at.
+    """A Bullet world with the moving figure, the bar and the mat of one replay, to be looked at.
 
     Args:
         replay: what to show.
@@ -55,7 +57,8 @@ class Scene:
         with quiet():
             self._client = bullet.connect(bullet.DIRECT)
             self._k = {"physicsClientId": self._client}
-            self._athlete = Athlete(self._client)
+            self._athlete = Athlete(self._client) if replay.header["joints"] == [j.name for j in JOINTS] else None
+            self._solids = self._loose() if self._athlete is None else []
             self._colour()
             self._furnish()
 
@@ -63,7 +66,41 @@ class Scene:
         """Free Bullet's memory."""
         bullet.disconnect(self._client)
 
+    def _loose(self) -> list[int]:
+        """The bodies of a figure that is not the athlete, each on its own."""
+        shapes: list[int] = []
+        header = self._replay.header
+        for part in header["shapes"]:
+            size, side = part["size"], header["bodies"][part["body"]].split("_", maxsplit=1)[0]
+            measures: dict[str, Any] = {"halfExtents": [edge / 2 for edge in size]}
+            if part["shape"] != "box":
+                measures = dict(zip(("radius", "length"), size, strict=False))
+            shape = bullet.createVisualShape(
+                _KINDS[part["shape"]],
+                **measures,
+                rgbaColor=_COLOURS.get(side, _COLOURS["trunk"]),
+                visualFramePosition=part["offset"],
+                visualFrameOrientation=part["rotation"],
+                **self._k,
+            )
+            shapes.append(bullet.createMultiBody(0, -1, shape, [0, 0, 0], **self._k))
+        return shapes
+
+    def _place(self, frame: int) -> None:
+        """Put the figure where it was in a frame."""
+        arrays = self._replay.arrays
+        if self._athlete is None:
+            for solid, part in zip(self._solids, self._replay.header["shapes"], strict=True):
+                at, turned = arrays["position"][frame, part["body"]], arrays["orientation"][frame, part["body"]]
+                bullet.resetBasePositionAndOrientation(solid, at.tolist(), turned.tolist(), **self._k)
+            return
+        self._athlete.place(arrays["position"][frame, 0].tolist(), arrays["orientation"][frame, 0].tolist())
+        self._athlete.bend(arrays["pose"][frame].astype(np.float64), arrays["rates"][frame].astype(np.float64))
+        self._athlete.links()
+
     def _colour(self) -> None:
+        if self._athlete is None:
+            return
         for index, name in enumerate(self._athlete.names):
             side = name.split("_", maxsplit=1)[0]
             colour = _SKIN if name == "neck" else _COLOURS.get(side, _COLOURS["trunk"])
@@ -71,7 +108,17 @@ class Scene:
 
     def _furnish(self) -> None:
         bar, mat = float(self._replay.header["bar"]), float(self._replay.header["mat_height"])
+        if not mat > 0:  # no jump: a track, with a line across every metre
+            self._box((20.0, 0.01, 1.5), (10.0, -0.01, 0.0), (0.80, 0.42, 0.33, 1.0))
+            for x in range(-9, 30):
+                self._box((0.015, 0.002, 1.5), (float(x), 0.0, 0.0), (0.9, 0.9, 0.9, 1.0))
+            return
         self._box((3.1, 0.01, 6.0), (-3.0, -0.01, 0.0), (0.80, 0.42, 0.33, 1.0))
+        wall = float(self._replay.header["wall_half_thickness"])
+        if wall > WALL_HALF_THICKNESS:  # an obstacle to be jumped over whole
+            self._box((2.0, mat / 2, 3.0), (wall + 2.0, mat / 2, 0.0), (0.36, 0.60, 0.52, 1.0))
+            self._box((wall, bar / 2, _BAR_HALF_WIDTH), (0.0, bar / 2, 0.0), (0.95, 0.80, 0.15, 1.0))
+            return
         self._box((2.0, mat / 2, 3.0), (2.05, mat / 2, 0.0), (0.36, 0.60, 0.52, 1.0))
         self._box((0.02, 0.02, _BAR_HALF_WIDTH), (0.0, bar - 0.02, 0.0), (0.95, 0.80, 0.15, 1.0))
         for z in (-_BAR_HALF_WIDTH, _BAR_HALF_WIDTH):
@@ -83,11 +130,8 @@ class Scene:
 
     def look(self, time: float, at: Array) -> Picture:
         """The athlete `time` seconds into the jump (the nearest frame), the camera turned to `at` ``[3]``."""
-        arrays = self._replay.arrays
         frame = int(np.clip(round(time / float(self._replay.header["frame_seconds"])), 0, self._replay.frames - 1))
-        self._athlete.place(arrays["position"][frame, 0].tolist(), arrays["orientation"][frame, 0].tolist())
-        self._athlete.bend(arrays["pose"][frame].astype(np.float64), arrays["rates"][frame].astype(np.float64))
-        self._athlete.links()
+        self._place(frame)
         width, height = self._size.width, self._size.height
         view = bullet.computeViewMatrix((at + _EYE).tolist(), at.tolist(), [0, 1, 0])
         projection = bullet.computeProjectionMatrixFOV(42, width / height, 0.1, 20)
@@ -146,11 +190,15 @@ def render_video(
         raise BadJob(f"video: expected gif or mp4, found {kind!r}")
     size = size or Size()
     count = max(2, round(replay.seconds * slower * rate))
-    # one steady camera: halfway between the take-off and the highest point
+    # one steady camera for a jump, halfway between the take-off and the highest point; a walk leaves it behind
     peak = int(np.argmax(replay.arrays["com"][:, 1]))
     at = (_centre_of_mass(replay, 0) + np.asarray(replay.arrays["com"][peak], np.float64)) / 2
+    follows = not float(replay.header["mat_height"]) > 0
     with _scene(replay, size) as scene:
-        pictures = [scene.look(time, at) for time in np.linspace(0, replay.seconds, count)]
+        pictures = [
+            scene.look(time, _centre_of_mass(replay, time) if follows else at)
+            for time in np.linspace(0, replay.seconds, count)
+        ]
     # the last picture stays for half a second
     pictures += [pictures[-1]] * (rate // 2)
     return _gif(pictures, rate) if kind == "gif" else _mp4(pictures, rate)

@@ -40,6 +40,8 @@ _WALL_HALF_HEIGHT = 1.5
 _HALF_WIDTH = 5.0
 _MAT_HALF_LENGTH = 2.0
 _SOLVER_ITERATIONS = 10
+_LINE = 0.005
+"""m that a line on the ground rises over it, so that what touches it is seen."""
 _TOUCH = 0.002
 """Bodies closer than this (m) touch: Bullet reports contact points before they bear load."""
 _LOADED_AFTER_CONTACT = 1.5 * FRAME
@@ -108,6 +110,9 @@ class World:
             the frame itself.
         gravity: m/s^2, downwards.
         joints: of the athlete.
+        furnished: whether there are wall and mat; without them `mat_height` is 0.
+        loaded_steps: physics steps in a frame while a foot bears on the ground. Two (240 Hz) do for moving on the
+            ground at half the time; the push of a jump needs five.
     """
 
     athlete: Athlete
@@ -119,10 +124,14 @@ class World:
         measure_torque: bool = False,
         gravity: float = GRAVITY,
         joints: Sequence[Joint] = JOINTS,
+        furnished: bool = True,
+        loaded_steps: int = LOADED_STEPS,
     ) -> None:
         self.gravity = gravity
         self.joints = tuple(joints)
-        self.mat_height = mat_height
+        self.furnished = furnished
+        self.loaded_steps = loaded_steps
+        self.mat_height = mat_height if furnished else 0.0
         self.measure_torque = measure_torque
         self._client = -1
         self.rebuild()
@@ -143,10 +152,13 @@ class World:
             upright = bullet.getQuaternionFromEuler([-np.pi / 2, 0, 0])
             self._ground = bullet.loadURDF(str(ground), [0, 0, 0], upright, useMaximalCoordinates=True, **self._k)
             bullet.changeDynamics(self._ground, -1, lateralFriction=1.0, **self._k)
-            self._wall = self._box([WALL_HALF_THICKNESS, _WALL_HALF_HEIGHT, _HALF_WIDTH])
-            self._mat = self._box([_MAT_HALF_LENGTH, self.mat_height / 2, _HALF_WIDTH])
-        behind = WALL_HALF_THICKNESS + _MAT_HALF_LENGTH
-        self._put(self._mat, behind, self.mat_height / 2)
+            self.wall_half_thickness = WALL_HALF_THICKNESS
+            self._wall = self._mat = -1
+            if self.furnished:
+                self._wall = self._box([WALL_HALF_THICKNESS, _WALL_HALF_HEIGHT, _HALF_WIDTH])
+                self._mat = self._box([_MAT_HALF_LENGTH, self.mat_height / 2, _HALF_WIDTH])
+        if self.furnished:
+            self._put_mat()
         bullet.setPhysicsEngineParameter(
             numSolverIterations=_SOLVER_ITERATIONS, deterministicOverlappingPairs=1, numSubSteps=0, **self._k
         )
@@ -174,12 +186,32 @@ class World:
             return
         self._in_flight = in_flight
         bullet.setPhysicsEngineParameter(numSubSteps=FLIGHT_STEPS if in_flight else 0, **self._k)
-        bullet.setTimeStep(FRAME if in_flight else FRAME / LOADED_STEPS, **self._k)
+        bullet.setTimeStep(FRAME if in_flight else FRAME / self.loaded_steps, **self._k)
 
     def set_bar(self, height: float) -> None:
         """Raise the wall to `height`, m; 0 buries it. Above 3 m its foot would leave the ground."""
         self.bar = height
-        self._put(self._wall, 0.0, height - _WALL_HALF_HEIGHT)
+        if self.furnished:
+            self._put(self._wall, 0.0, height - _WALL_HALF_HEIGHT)
+
+    def _put_mat(self) -> None:
+        """The mat begins where the wall ends."""
+        self._put(self._mat, self.wall_half_thickness + _MAT_HALF_LENGTH, self.mat_height / 2)
+
+    def set_obstacle(self, height: float, width: float) -> None:
+        """Put a box in place of the wall, its middle in the plane x = 0.
+
+        Args:
+            height: m; 0 is a line on the ground that must not be trodden on.
+            width: along x, m.
+        """
+        if width / 2 != self.wall_half_thickness:
+            # Bullet's shapes can't be stretched: another body takes the wall's place, and always after a `rebuild`.
+            bullet.removeBody(self._wall, **self._k)
+            self.wall_half_thickness = width / 2
+            self._wall = self._box([width / 2, _WALL_HALF_HEIGHT, _HALF_WIDTH])
+            self._put_mat()
+        self.set_bar(max(height, _LINE))
 
     def settle(self) -> None:
         """Forget the contacts of the last episode; call after placing the athlete."""
@@ -200,13 +232,13 @@ class World:
         loaded = self.loaded
         self._set_flight(in_flight=not loaded)
         if loaded:
-            dt = FRAME / LOADED_STEPS
-            for step in range(LOADED_STEPS):
+            dt = FRAME / self.loaded_steps
+            for step in range(self.loaded_steps):
                 self.athlete.actuate(watch_limits=step == 0)
                 if step == 0 and self.measure_torque:
                     seen.torque = self.athlete.torques(dt)
                 bullet.stepSimulation(**self._k)
-                self._look(seen, dt, 1 / LOADED_STEPS)
+                self._look(seen, dt, 1 / self.loaded_steps)
         else:
             self.athlete.actuate(watch_limits=True)
             if self.measure_torque:
@@ -242,6 +274,12 @@ class World:
                 seen.mat.add(link)
         seen.ground_force += force * share
         seen.ground_peak = max(seen.ground_peak, force)
+
+    def sunk(self) -> float:
+        """How deep the athlete, just placed, is in the ground, m."""
+        self.athlete.links()  # or Bullet looks where the bodies were
+        points = bullet.getClosestPoints(self.athlete.body, self._ground, 0.0, **self._k)
+        return max((-point[8] for point in points), default=0.0)
 
     def body_shapes(self) -> list[dict[str, object]]:
         """Collision shapes of the athlete's bodies, for pictures.

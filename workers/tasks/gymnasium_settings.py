@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 from workers.contracts import JSON, BadSetting, FeatureSpec
@@ -37,11 +37,7 @@ class Difficulty:
 
     def part_of(self, budget: Budget, z: float) -> Budget:
         """The budget of a training at difficulty z, at least one sample and one iteration."""
-        share = self.budget + z * (1 - self.budget)
-        samples, iterations = (
-            None if whole is None else max(1, round(share * whole)) for whole in (budget.samples, budget.iterations)
-        )
-        return replace(budget, samples=samples, iterations=iterations)
+        return budget.part(self.budget + z * (1 - self.budget))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -22,7 +22,6 @@ import numpy as np
 from workers.contracts import (
     JSON,
     BadJob,
-    BadSetting,
     Context,
     FeatureSpec,
     Job,
@@ -31,10 +30,18 @@ from workers.contracts import (
     Scalar,
     TaskInfo,
 )
+from workers.learning import sb3
 from workers.learning.ppo import POLICY_ARTIFACT, train
 from workers.learning.problem import Curriculum, Diverged, Trained
 from workers.learning.rollout import Episode, NotFinite, action_map, in_words, observation_size, play
-from workers.learning.settings import Budget, NetworkSettings, PPOSettings, TrainingSettings
+from workers.learning.settings import (
+    Budget,
+    NetworkSettings,
+    PPOSettings,
+    TrainingSettings,
+    check_searched,
+    with_searched,
+)
 from workers.tasks.features import WrongFeatures, mean_behaviour, read_behaviour
 from workers.tasks.gymnasium_settings import Arguments, EnvironmentSettings, read_settings
 from workers.user_code import EnvironmentFailed, UnknownTask, import_module, suggestion, user_traceback
@@ -57,6 +64,9 @@ SPACE: Mapping[str, ParameterSpec] = {
     "ppo.minibatch": ParameterSpec("int", 32, 512, log=True),
 }
 """What is searched where the study file gives no space."""
+
+TRAINERS = ("halma", "sb3")
+"""Our PPO, or Stable-Baselines3's where it is installed."""
 
 
 class Renewed(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -135,9 +145,11 @@ class GymnasiumTask:
         looked at when a trial runs.
         """
         read = read_settings(settings, self._arguments)
-        TrainingSettings.parse(training, DEFAULTS)
+        parsed = TrainingSettings.parse(training, DEFAULTS, trainers=TRAINERS)
         for name in names:
             self._check_name(name)
+        if parsed.trainer == "sb3":
+            sb3.check(training, names)
         if self._arguments.needed <= {*read.arguments, "z", *([read.difficulty.argument] if read.difficulty else [])}:
             env = self._first(self._maker(read, {}, None))
             try:
@@ -162,7 +174,11 @@ class GymnasiumTask:
         if read.difficulty is not None and job.z is not None:
             training = replace(training, budget=read.difficulty.part_of(training.budget, job.z))
         problem = EnvironmentProblem(self._maker(read, arguments, job.z), rebuild=read.rebuild)
-        trained = train(job, context, problem, training)
+        if training.trainer == "sb3":
+            learner = {name: value for name, value in job.params.items() if "." in name}
+            trained = sb3.train(job, context, problem, training, with_searched(job.training, learner))
+        else:
+            trained = train(job, context, problem, training)
         context.save_artifact(POLICY_ARTIFACT, trained.policy.to_bytes())
         episodes = self._evaluate(job, problem, trained, read.episodes, training.ppo.episode_limit)
         returns = [e.total for e in episodes]
@@ -205,29 +221,18 @@ class GymnasiumTask:
         return mean_behaviour(spec, [r for r in rows if r is not None])
 
     def _check_name(self, name: str) -> None:
-        head, _, tail = name.partition(".")
-        learner: Mapping[str, list[str]] = {
-            "ppo": [f.name for f in fields(PPOSettings)],
-            "network": ["activation"],
-        }
-        if not tail:
+        if "." in name:
+            check_searched(name)
+        else:
             self._arguments.check(name, name, "space")
-        elif tail not in learner.get(head, []):
-            known = [f"{h}.{t}" for h, names in learner.items() for t in names]
-            raise BadSetting("space", name, f"no setting of the learner{suggestion(name, known)}")
 
     def _apply(self, job: Job) -> tuple[TrainingSettings, dict[str, JSON]]:
         """The candidate's parameters, sorted into training settings and constructor arguments."""
-        training: dict[str, JSON] = dict(job.training)
-        arguments: dict[str, JSON] = {}
-        for name, value in job.params.items():
+        for name in job.params:
             self._check_name(name)
-            head, _, tail = name.partition(".")
-            if tail:
-                training[head] = {**(training.get(head) or {}), tail: value}
-            else:
-                arguments[name] = value
-        return TrainingSettings.parse(training, DEFAULTS), arguments
+        learner = {name: value for name, value in job.params.items() if "." in name}
+        arguments: dict[str, JSON] = {name: value for name, value in job.params.items() if "." not in name}
+        return TrainingSettings.parse(with_searched(job.training, learner), DEFAULTS, trainers=TRAINERS), arguments
 
     def maker(self, settings: Mapping[str, JSON], params: Mapping[str, Scalar], z: float | None) -> Callable[[], Env]:
         """How to make the environment of a candidate, e.g. to look at it. Raises `BadSetting`."""
@@ -237,7 +242,7 @@ class GymnasiumTask:
     def budget_at(self, settings: Mapping[str, JSON], training: Mapping[str, JSON], z: float) -> Budget:
         """The budget of a training at difficulty z. Raises `BadSetting`."""
         difficulty = read_settings(settings, self._arguments).difficulty
-        whole = TrainingSettings.parse(training, DEFAULTS).budget
+        whole = TrainingSettings.parse(training, DEFAULTS, trainers=TRAINERS).budget
         return whole if difficulty is None else difficulty.part_of(whole, z)
 
     def _maker(self, read: EnvironmentSettings, arguments: Mapping[str, JSON], z: float | None) -> Callable[[], Env]:

@@ -116,6 +116,20 @@ class TestSize:
         answer = client.post("/api/v1/studies", content=(b"x" * 65536 for _ in range(17)))
         assert answer.status_code == 413
 
+    @pytest.mark.parametrize(
+        ("path", "body", "field"),
+        [
+            ("/api/v1/studies", {"text": "#" * (256 * 1024 + 1)}, "text"),
+            ("/api/v1/studies", {"text": "name: a", "overrides": ["a=1"] * 65}, "overrides"),
+            ("/api/v1/reference", {"text": " " * 900_001}, "text"),
+        ],
+    )
+    def test_what_fits_a_body_but_no_field_is_refused_by_name(self, client, store, path, body, field):
+        answer = client.post(path, json=body)
+        assert answer.status_code == 422
+        assert answer.json()["error"]["field"] == field
+        assert store.studies() == []
+
 
 class TestHeaders:
     def test_every_answer_forbids_what_a_page_of_ours_never_does(self, anyone):

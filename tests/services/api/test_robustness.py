@@ -20,7 +20,7 @@ from tests.services.api.conftest import TOKEN
 TEXT = st.text(max_size=20)
 NUMBER = st.one_of(st.integers(-3, 4), st.integers(), st.just(2**63 - 1), st.just(2**63), TEXT)
 STUDY = st.one_of(st.just("jump"), TEXT)
-QUERY = st.dictionaries(st.sampled_from(["after", "limit", "state", "study"]), NUMBER, max_size=3)
+QUERY = st.dictionaries(st.sampled_from(["after", "limit", "page", "state", "study"]), NUMBER, max_size=3)
 JSON = st.recursive(
     st.one_of(st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False, allow_infinity=False), TEXT),
     lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(TEXT, inner, max_size=3)),

@@ -52,11 +52,11 @@ class TestStudies:
 class TestTrials:
     def test_pages_join_without_a_gap_or_a_repeat(self, client, record):
         record.propose(7)
-        numbers, after = [], -1
-        while after is not None:
-            page = client.get(f"{STUDY}/trials", params={"after": after, "limit": 3}).json()
+        numbers, page = [], {"next": ""}
+        while page["next"] is not None:
+            given = {"page": page["next"]} if page["next"] else {}
+            page = client.get(f"{STUDY}/trials", params={"limit": 3, **given}).json()
             numbers += [trial["number"] for trial in page["trials"]]
-            after = page["next"]
         assert numbers == [0, 1, 2, 3, 4, 5, 6]
 
     def test_a_page_that_ends_with_the_last_trial_names_no_next_one(self, client, record):
@@ -194,6 +194,17 @@ class TestActions:
         assert client.post(f"{STUDY}/cancel").json()["state"] == "cancelled"
         assert client.post(f"{STUDY}/resume").json()["state"] == "queued"
 
+    def test_how_a_study_is_run_can_be_changed(self, client, store, record):
+        answer = client.patch(STUDY, json={"fields": {"priority": 7, "resources.pool": "gpu"}})
+        assert (answer.status_code, answer.json()["priority"], answer.json()["pool"]) == (200, 7, "gpu")
+        assert store.study(record.name).spec["resources"]["pool"] == "gpu"
+
+    @pytest.mark.parametrize("fields", [{"seed": 3}, {"priority": "high"}, {"priority": 10**6}, {}])
+    def test_what_makes_a_study_what_it_is_can_not(self, client, store, record, fields):
+        before = store.last_event()
+        assert client.patch(STUDY, json={"fields": fields}).status_code == 422
+        assert store.last_event() == before
+
     def test_extending_raises_the_target(self, client, store, record):
         assert client.post(f"{STUDY}/extend", json={"trials": 6}).json()["target_trials"] == 30
 
@@ -252,10 +263,11 @@ class TestEvents:
         record.one(iterations=1)
         first = client.get("/api/v1/events", params={"limit": 2}).json()
         assert [event["kind"] for event in first["events"]] == ["created", "driven"]
-        rest = client.get("/api/v1/events", params={"after": first["next"]}).json()
+        rest = client.get("/api/v1/events", params={"page": first["next"]}).json()
         assert [event["kind"] for event in rest["events"]] == ["proposed", "started", "progress", "finished"]
         assert rest["next"] is None
-        assert client.get(f"{STUDY}/events", params={"after": first["next"]}).json() == rest
+        assert client.get("/api/v1/events", params={"after": first["events"][-1]["id"]}).json() == rest
+        assert client.get(f"{STUDY}/events", params={"page": first["next"]}).json() == rest
 
 
 class TestService:

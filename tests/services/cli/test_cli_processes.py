@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -48,10 +49,10 @@ def wait_for(condition):
     pytest.fail("waited in vain")
 
 
-@pytest.fixture
-def slow_run(shell, hill):
-    """`halma run` on thirty trials that take 0.2 s each, with at least two of them finished."""
-    shell.write("slow.yaml", hill.replace(":hill", ":trek").replace("trials: 4", "trials: 12"))
+@pytest.fixture(params=[12])
+def slow_run(request, shell, hill):
+    """`halma run` on so many trials that take 0.2 s each, with at least two of them finished."""
+    shell.write("slow.yaml", hill.replace(":hill", ":trek").replace("trials: 4", f"trials: {request.param}"))
     process = start(HALMA, "run", "slow.yaml", "--inline")
     store = None
     try:
@@ -83,6 +84,24 @@ def test_ctrl_c_exits_with_130_and_says_how_to_go_on(shell, slow_run):
     assert len(after) == 12
 
 
+def test_ctrl_c_twice_ends_at_once_and_loses_nothing(shell, slow_run):
+    # Both before the next look at signals, which may be some 0.1 s away: a trial of this task has no checkpoints.
+    slow_run.send_signal(signal.SIGINT)
+    time.sleep(0.02)
+    slow_run.send_signal(signal.SIGTERM)
+    _, err = slow_run.communicate(timeout=PATIENCE)
+    assert slow_run.returncode == 130
+    assert err in {
+        "Interrupted at once; what had finished is on record. Go on: halma resume hill\n",
+        "Interrupted; nothing that was finished is lost. Go on: halma resume hill\n",  # it was just about to end
+    }
+    before = finished_trials(shell)
+    assert shell("resume", "hill", "--inline").code == 0
+    after = finished_trials(shell)
+    assert after[: len(before)] == before
+    assert len(after) == 12
+
+
 def test_a_killed_run_is_resumed_and_nothing_finished_is_run_twice(shell, slow_run):
     slow_run.kill()
     slow_run.communicate()
@@ -94,6 +113,44 @@ def test_a_killed_run_is_resumed_and_nothing_finished_is_run_twice(shell, slow_r
     assert after[: len(before)] == before
     assert [trial["number"] for trial in after] == list(range(12))
     assert [trial["attempts"] for trial in before] == [1] * len(before)
+
+
+@pytest.mark.parametrize("slow_run", [1000], indirect=True, ids=["long"])
+def test_a_second_resume_says_who_drives_and_take_over_fences_the_first_off(shell, slow_run):
+    refused = shell("resume", "hill", "--inline")
+    assert (refused.code, refused.out) == (2, "")
+    assert re.fullmatch(
+        r"study 'hill': expected that nobody drives it, "
+        rf"found process {slow_run.pid} on {re.escape(socket.gethostname())}, "
+        r"since \d{4}-\d\d-\d\d \d\d:\d\d:\d\d UTC; follow it: halma watch hill; stop it: halma pause hill; "
+        r"or take it over: halma resume hill --take-over\n",
+        refused.err,
+    )
+    before = finished_trials(shell)
+    second = start(HALMA, "resume", "hill", "--inline", "--take-over")
+    try:
+        _, said = slow_run.communicate(timeout=PATIENCE)
+        assert slow_run.returncode == 1
+        assert re.match(rf"Study hill was taken over by process {second.pid} on .*; this process has stopped", said)
+        handed_over = len(finished_trials(shell))
+        wait_for(lambda: len(finished_trials(shell)) > handed_over + 2)
+        second.send_signal(signal.SIGTERM)
+        _, err = second.communicate(timeout=PATIENCE)
+    finally:
+        second.kill()
+    assert second.returncode == 130, "SIGTERM is the same as Ctrl-C"
+    assert err == "Interrupted; nothing that was finished is lost. Go on: halma resume hill\n"
+    after = finished_trials(shell)
+    assert after[: len(before)] == before
+    store = open_store(shell.home / "halma.db")
+    events = store.events(study_id=store.study("hill").id, limit=100_000)
+    store.close()
+    assert [event.payload["pid"] for event in events if event.kind == "driven"] == [slow_run.pid, second.pid]
+    assert [event.payload["reason"] for event in events if event.kind in {"driver_fenced", "refused"}], (
+        "what the first one still wanted to write was refused, or it saw that it was fenced; and that is on record"
+    )
+    finished = [event.trial for event in events if event.kind == "finished"]
+    assert sorted(finished) == [trial["number"] for trial in after], "no trial ended twice"
 
 
 @pytest.fixture

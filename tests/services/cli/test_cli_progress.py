@@ -87,6 +87,17 @@ def test_the_rate_forgets_what_is_long_ago(store, running):
     assert last.rate == pytest.approx(10.0)
 
 
+def test_a_study_that_waits_says_why(store, running):
+    row = store.study("hill")
+    with store.transaction() as change:
+        change.remark(row.id, row.drive_token, "No space left on device")
+    snapshot = Observer(store, "hill").look(0.0)
+    assert progress_line(snapshot).endswith(", No space left on device")
+    console = Console(width=80, file=io.StringIO())
+    console.print(picture(snapshot))
+    assert "No space left on device" in console.file.getvalue()
+
+
 def test_the_picture_in_a_terminal_has_a_bar_and_a_line_for_each_running_trial(store, running):
     finish(store, running[0], 0.9)
     console = Console(width=120, force_terminal=True, color_system=None, file=io.StringIO())

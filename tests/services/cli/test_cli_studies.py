@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
 import threading
 import time
 
@@ -157,9 +158,53 @@ def test_a_study_that_somebody_drives_is_only_told(shell, hill):
     with store.transaction() as change:
         change.drive("hill", this_process())
     store.close()
-    assert shell("resume", "hill").out.startswith("hill is being driven by process ")
+    before = shell("show", "hill", "--json").json
+    for command in (("resume", "hill"), ("run", "hill.yaml")):
+        typed = shell(*command)
+        assert (typed.code, typed.out) == (2, "")
+        assert typed.err.startswith(f"study 'hill': expected that nobody drives it, found process {os.getpid()} on ")
+        assert ", since 20" in typed.err
+        assert typed.err.endswith(
+            " UTC; follow it: halma watch hill; stop it: halma pause hill; or take it over: "
+            "halma resume hill --take-over\n"
+        )
+    assert shell("show", "hill", "--json").json == before
     assert shell("pause", "hill").out == "hill pauses as soon as its trials have reached a checkpoint.\n"
     assert shell("show", "hill", "--json").json["state"] == "running"
+
+
+def test_a_changed_file_changes_how_its_study_is_run_and_never_what_it_is(shell, hill, finished):
+    shell.write("wide.yaml", hill.replace("trials: 4", "trials: 6") + "resources: {parallel: 2}\npriority: 4\n")
+    typed = shell("run", "wide.yaml", "--inline")
+    assert (typed.code, typed.err) == (0, "")
+    assert typed.out.startswith(
+        "hill changes with its file: priority: 0 -> 4; resources.parallel: 1 -> 2; search.trials: 4 -> 6\n"
+    )
+    shown = shell("show", "hill", "--json").json
+    assert (shown["priority"], shown["trials"], shown["spec"]["resources"]["parallel"]) == (4, {"complete": 6}, 2)
+    shell.write("other.yaml", hill.replace("seed: 7", "seed: 8"))
+    refused = shell("run", "other.yaml", "--inline")
+    assert (refused.code, refused.out) == (2, "")
+    assert "  seed: 7 in the study, 8 in the file" in refused.err
+    assert "Run this file as a new study: halma run other.yaml --name NEW." in refused.err
+    assert shell("show", "hill", "--json").json == shown
+    again = shell("run", "other.yaml", "--inline", "--name", "other")
+    assert (again.code, again.err) == (0, "")
+
+
+def test_set_changes_how_a_study_is_run(shell, hill):
+    queue(shell, "hill")
+    typed = shell("set", "hill", "priority=5", "pool=gpu")
+    assert (typed.code, typed.err) == (0, "")
+    assert typed.out == "hill: priority is 5 (it was 0)\nhill: resources.pool is gpu (it was default)\n"
+    assert shell("set", "hill", "priority=5").out == "hill: priority is 5\n"
+    shown = shell("show", "hill", "--json").json
+    assert (shown["priority"], shown["pool"]) == (5, "gpu")
+    for wrong in ("seed=3", "search.trials=9", "priority=high", "priority"):
+        typed = shell("set", "hill", wrong)
+        assert (typed.code, typed.out) == (2, "")
+    assert shell("show", "hill", "--json").json == shown
+    assert shell("resume", "hill", "--inline").code == 0, "alone it gets the pool that it asks for"
 
 
 def test_a_study_whose_every_trial_fails_stops_with_the_reason_and_exit_code_1(shell, hill):

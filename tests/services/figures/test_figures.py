@@ -289,6 +289,11 @@ class TestWholeStudies:
             assert first == second
             assert first.startswith(magic)
 
+    def test_many_marks_make_no_large_file(self, shown):
+        with style():
+            figure = draw_cost(shown([trial(i, value=0.001 * (i % 997)) for i in range(3000)]))
+        assert len(encode(figure, "svg")) < 200_000
+
     def test_a_paper_takes_the_fonts_and_the_width(self, shown):
         with style():
             figure = draw_cost(shown([trial(0, value=0.4)]))

@@ -11,13 +11,14 @@ from workers.learning.policy import Policy
 from workers.learning.rollout import collect
 from workers.learning.settings import TrainingSettings
 from workers.tasks.high_jump.settings import TRAINING
-from workers.tasks.high_jump.task import bar_of, problem_of, recorded_jump
+from workers.tasks.high_jump.task import JumpProblem, bar_of, recorded_jump
 
 
-def audit_policy(job: Job, policy: bytes, rollouts: int) -> Audit:
+def audit_policy(problem: JumpProblem, job: Job, policy: bytes, rollouts: int) -> Audit:
     """The audit of a stored policy.
 
     Args:
+        problem: what the job trained.
         job: of the trial that learnt it.
         policy: its artifact `policy.safetensors`.
         rollouts: how many jumps with noise (of `sigma_end`, that of a finished training) are tried over the same bar;
@@ -26,7 +27,7 @@ def audit_policy(job: Job, policy: bytes, rollouts: int) -> Audit:
     Raises `BadJob` where the policy is of another task or never cleared a bar.
     """
     bar = bar_of(policy)
-    problem, learnt = problem_of(job), Policy.from_bytes(policy)
+    learnt = Policy.from_bytes(policy)
     jump = recorded_jump(problem, learnt, bar)
     missed = Check("deterministic_failure", float(jump is None), 0.0, "jumps")
     checks = () if jump is None else audit(jump.replay).checks

@@ -80,12 +80,17 @@ def _jumps_in(folder: Path) -> Mapping[str, Flight]:
 
 def flight_of_replay(replay: Replay) -> Flight:
     """The flight of a recorded jump: from its last touch of the ground to its first of the mat."""
+    start, end = flight_frames(replay)
+    position = replay.arrays["position"][start:end].astype(np.float64)
+    return _relative(position, float(replay.header["frame_seconds"]))
+
+
+def flight_frames(replay: Replay) -> tuple[int, int]:
+    """First frame of a recorded jump's flight, and the one behind its last."""
     ground, mat = replay.arrays["touching"][:, 0] > 0, replay.arrays["touching"][:, 2] > 0
     end = int(np.argmax(mat)) if mat.any() else replay.frames
     before = np.flatnonzero(ground[:end])
-    start = int(before[-1]) + 1 if len(before) else 0
-    position = replay.arrays["position"][start:end].astype(np.float64)
-    return _relative(position, float(replay.header["frame_seconds"]))
+    return (int(before[-1]) + 1 if len(before) else 0), end
 
 
 def flight_of_clip(clip: Clip) -> Flight:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -26,9 +27,9 @@ that jump let the foot strike the ground with more than 6 body weights."""
 class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
     """One athlete before one bar.
 
-    Observation ``[173]``: position of the root (m), height of the bar (m), then for each of the 13 bodies its position
-    relative to the root (m), orientation (quaternion), velocity (m/s) and angular velocity (rad/s), all in the world
-    frame, whose plane x = 0 is the bar's.
+    Observation ``[173]``: position of the root (m), the level (height of the bar, or width of the obstacle, m), then
+    for each of the 13 bodies its position relative to the root (m), orientation (quaternion), velocity (m/s) and
+    angular velocity (rad/s), all in the world frame, whose plane x = 0 goes through the bar or the box's middle.
 
     Action ``[28]``, unbounded: offset of the target pose from the push-off pose, rad. The target moves there in 25 ms.
 
@@ -39,6 +40,10 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
     Args:
         state: the take-off state.
         control_rate: actions a second; a divisor of 120.
+        hard_rate: the same at the hardest levels, likewise; None: always `control_rate`.
+        hardness: of a level, which schedules the control rate and how natural a jump has to be.
+        offsets: mean offset at which a jump is not natural at all, at the easiest and at the hardest levels, rad.
+        obstacle: height of a box to be jumped over by its width, which is then the level, m; None for a bar.
         mat_height: m.
         recorder: keeps the frames of each episode, from the last `reset` on.
         poses: a pose model to act through.
@@ -56,6 +61,10 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         state: TakeOff,
         *,
         control_rate: int = 10,
+        hard_rate: int | None = None,
+        hardness: rules.Hardness = rules.hardness_of_bar,
+        offsets: tuple[float, float] = rules.OFFSETS,
+        obstacle: Callable[[float], float] | None = None,
         mat_height: float = 0.3,
         recorder: Recorder | None = None,
         poses: PoseModel | None = None,
@@ -69,7 +78,10 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         self.world = World(mat_height, measure_torque=recorder is not None, gravity=gravity, joints=joints)
         self._novelty = novelty
         self._unused = True
-        self._frames = round(1 / (control_rate * FRAME))
+        self._rates = (control_rate, control_rate if hard_rate is None else hard_rate)
+        self._hardness = hardness
+        self._offsets = offsets
+        self._obstacle = obstacle
         self._reference = takeoff.push_off_pose()
         self._start = takeoff.start_state(self.world, state)
         athlete = self.world.athlete
@@ -88,7 +100,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float64], dict[str, Any]]:
-        """Back to the take-off state, before a bar of `options["level"]` m (0.5 without).
+        """Back to the take-off state, before a bar as high or a box as wide as `options["level"]` m (0.5 without).
 
         Nothing is drawn at random, so the seed changes nothing. `options["fresh"]` rebuilds the world.
         """
@@ -97,9 +109,17 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         if options.get("fresh") and not self._unused:
             self.world.rebuild()
         self._unused = False
-        takeoff.apply(self.world, self._start)
         level = options.get("level")
-        self.world.set_bar(0.5 if level is None else float(level))
+        self._level = 0.5 if level is None else float(level)
+        self._frames = round(1 / (rules.rate_at(self._level, *self._rates, self._hardness) * FRAME))
+        start = self._start
+        if self._obstacle is None:
+            self.world.set_bar(self._level)
+        else:
+            self.world.set_obstacle(self._obstacle(self._level), self._level)
+            start = replace(start, position=start.position - np.array([self._level / 2, 0, 0]))
+            self._rules = replace(self._rules, edge=self._level / 2)
+        takeoff.apply(self.world, start)
         self.world.settle()
         if self.state.formulation == "support":
             self.world.stand()
@@ -132,8 +152,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             if self._novelty is not None and self._passing.orientation is None:
                 links = self.world.athlete.links()
                 self._passing.look(float(self.world.athlete.centre_of_mass(links)[0]), links[0, 3:7])
-            rear = float(self.world.athlete.bounds()[0][0]) if contacts.mat else None
-            verdict = self._rules.verdict(contacts, self._elapsed * FRAME, rear)
+            verdict = self._rules.verdict(contacts, self._elapsed * FRAME, self._rear() if contacts.mat else None)
             if verdict is not None:
                 break
         observation = self._observation()
@@ -146,7 +165,9 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             head_first=self._rules.head in contacts.mat,
             spin=self._spin / self._elapsed,
             offset=self._offset / self._actions,
-            bar=self.world.bar,
+            bar=self._level,
+            hardness=self._hardness,
+            bounds=self._offsets,
         )
         metrics = {f"end_{name}": float(verdict == name) for name in ("wall", "ground", "time", "fall")}
         success = landed
@@ -156,6 +177,13 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             reward *= metrics["novelty"]
             success = self._novelty.is_new(found)
         return observation, reward, True, False, {"success": success, "verdict": verdict, "metrics": metrics}
+
+    def _rear(self) -> float:
+        """Lowest x of what must have got over, m: see `Rules.verdict`."""
+        athlete = self.world.athlete
+        if self._obstacle is None:
+            return float(athlete.bounds()[0][0])
+        return float(athlete.centre_of_mass(athlete.links())[0])
 
     def _aim(self, action: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The target pose of an action, and its offset from what counts as natural, ``[28]`` each."""
@@ -174,7 +202,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         links = self.world.athlete.links()
         root = links[0, :3].copy()
         links[:, :3] -= root
-        return np.concatenate([root, [self.world.bar], links.ravel()])
+        return np.concatenate([root, [self._level], links.ravel()])
 
     def close(self) -> None:
         """Free the world."""

@@ -60,20 +60,23 @@ def name_jump(replay: Replay, jumps: dict[str, captured.Flight] | None = None) -
     """
     passing = behaviour.over_the_bar(replay)
     orientation = replay.arrays["orientation"][-1, 0].astype(np.float64) if passing is None else passing[1]
-    found = captured.distances(replay, captured.captured_jumps() if jumps is None else jumps)
-    words = [posture(orientation), lead(replay)]
+    over = "box" if replay.header.get("task", {}).get("name") == "obstacle_jump" else "bar"
+    if jumps is None:  # the captured ones are high jumps
+        jumps = dict(captured.captured_jumps()) if over == "bar" else {}
+    found = captured.distances(replay, jumps)
+    words = [posture(orientation, over), lead(replay)]
     like = captured.likeness(found)
     if like is not None:
         words.append(f"like a {like.name}")
     return Naming(", ".join(word for word in words if word), landing(replay, orientation), found)
 
 
-def posture(orientation: Array) -> str:
-    """How the body lies or stands, from the root's orientation ``[4]``."""
+def posture(orientation: Array, over: str = "bar") -> str:
+    """How the body lies or stands over the bar or the box, from the root's orientation ``[4]``."""
     forward, up, right = (rotations.rotate(orientation, axis) for axis in np.eye(3))
     inclination = np.arccos(np.clip(up[1], -1, 1))
     if inclination < _UPRIGHT:
-        return f"upright, {_heading(forward, right)}"
+        return f"upright, {_heading(forward, right, over)}"
     if inclination > np.pi - _UPRIGHT:
         return "upside down"
     facing = behaviour.facing(orientation)
@@ -84,11 +87,11 @@ def posture(orientation: Array) -> str:
     return f"layout on the {'left' if right[1] > 0 else 'right'} side"
 
 
-def _heading(forward: Array, right: Array) -> str:
+def _heading(forward: Array, right: Array, over: str) -> str:
     """Which way an upright body looks: x points over the bar."""
     if abs(forward[0]) >= abs(right[0]):
-        return "facing the bar" if forward[0] > 0 else "back to the bar"
-    return f"{'right' if right[0] > 0 else 'left'} side to the bar"
+        return f"facing the {over}" if forward[0] > 0 else f"back to the {over}"
+    return f"{'right' if right[0] > 0 else 'left'} side to the {over}"
 
 
 def lead(replay: Replay) -> str:

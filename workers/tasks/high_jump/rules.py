@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,6 +21,7 @@ SPIN_PENALTY = 0.02
 """s/rad, in exp(-0.02 |omega|)."""
 OFFSET_EASY, OFFSET_HARD = 48.0, 15.0
 """Mean offset (L1 norm, rad) at which naturalness is 0, for low and for high bars."""
+OFFSETS = (OFFSET_EASY, OFFSET_HARD)
 OFFSET_EASY_BAR, OFFSET_HARD_BAR = 0.6, 1.6
 """Bars between which the bound falls, m."""
 
@@ -32,11 +34,13 @@ class Rules:
         foot: Bullet link of the take-off foot, the only part that may touch the ground.
         head: Bullet link of the head.
         may_land_on: links that may touch the mat before the jump has landed; None for all.
+        edge: x behind which a jump has got over, m.
     """
 
     foot: int
     head: int
     may_land_on: frozenset[int] | None = None
+    edge: float = WALL_HALF_THICKNESS
 
     def verdict(self, contacts: Contacts, time: float, rear: float | None) -> Verdict | None:
         """What ends the jump now, or None.
@@ -44,8 +48,9 @@ class Rules:
         Args:
             contacts: of this frame.
             time: since the start, s.
-            rear: lowest x of all parts (m); only needed where the mat is touched. The jump has landed once the mat is
-                touched and all parts are behind the wall.
+            rear: lowest x of all that must have got over (m), only needed where the mat is touched: of all parts for a
+                bar, of the centre of mass for an obstacle, since who lands in a long jump lands feet first. The jump
+                has landed once the mat is touched and this is behind the edge.
         """
         if contacts.wall:
             return "wall"
@@ -53,25 +58,51 @@ class Rules:
             return "ground"
         if self.may_land_on is not None and contacts.mat - self.may_land_on:
             return "fall"
-        if contacts.mat and rear is not None and rear > WALL_HALF_THICKNESS:
+        if contacts.mat and rear is not None and rear > self.edge:
             return "landed"
         if time >= TIME_LIMIT:
             return "time"
         return None
 
 
-def offset_bound(bar: float) -> float:
-    """c_offset of equation 4 for a bar height (m)."""
-    hardness = np.clip((bar - OFFSET_EASY_BAR) / (OFFSET_HARD_BAR - OFFSET_EASY_BAR), 0, 1)
-    return float(OFFSET_EASY + (OFFSET_HARD - OFFSET_EASY) * hardness)
+Hardness = Callable[[float], float]
+"""How hard a level is, from 0 to 1: what control rate and naturalness are scheduled by."""
 
 
-def naturalness(offset: float, bar: float) -> float:
+def hardness_of_bar(bar: float) -> float:
+    """How hard a bar (m) is."""
+    return float(np.clip((bar - OFFSET_EASY_BAR) / (OFFSET_HARD_BAR - OFFSET_EASY_BAR), 0, 1))
+
+
+def offset_bound(bar: float, hardness: Hardness = hardness_of_bar, bounds: tuple[float, float] = OFFSETS) -> float:
+    """c_offset of equation 4 for a level (m); `bounds` are those of the easiest and of the hardest."""
+    easy, hard = bounds
+    return easy + (hard - easy) * hardness(bar)
+
+
+def naturalness(
+    offset: float, bar: float, hardness: Hardness = hardness_of_bar, bounds: tuple[float, float] = OFFSETS
+) -> float:
     """1 - min((offset / c_offset)^2, 1), equation 4; `offset` is the mean L1 norm of the actions, rad."""
-    return 1.0 - min((offset / offset_bound(bar)) ** 2, 1.0)
+    return 1.0 - min((offset / offset_bound(bar, hardness, bounds)) ** 2, 1.0)
 
 
-def reward(*, landed: bool, head_first: bool, spin: float, offset: float, bar: float) -> float:
+def rate_at(level: float, easy: int, hard: int, hardness: Hardness = hardness_of_bar) -> int:
+    """Actions a second at a level: from `easy` to `hard`, each a divisor of 120, the highest that is due."""
+    due = easy + (hard - easy) * hardness(level)
+    return max((rate for rate in range(easy, hard + 1) if 120 % rate == 0 and rate <= due + 1e-9), default=easy)
+
+
+def reward(
+    *,
+    landed: bool,
+    head_first: bool,
+    spin: float,
+    offset: float,
+    bar: float,
+    hardness: Hardness = hardness_of_bar,
+    bounds: tuple[float, float] = OFFSETS,
+) -> float:
     """Reward of a finished jump, in [0, 1]: completion x exp(-0.02 |omega|) x safety x naturalness. Sparse.
 
     Args:
@@ -79,9 +110,11 @@ def reward(*, landed: bool, head_first: bool, spin: float, offset: float, bar: f
         head_first: whether the head touched the mat as it landed.
         spin: mean magnitude of the root's angular velocity, rad/s.
         offset: mean L1 norm of the actions, rad.
-        bar: height of the bar, m.
+        bar: height of the bar, or whatever the level is, m.
+        hardness: of a level.
+        bounds: of the offset, at the easiest and at the hardest levels, rad.
     """
     if not landed:
         return 0.0
     safety = HEAD_FIRST if head_first else 1.0
-    return float(np.exp(-SPIN_PENALTY * spin) * safety * naturalness(offset, bar))
+    return float(np.exp(-SPIN_PENALTY * spin) * safety * naturalness(offset, bar, hardness, bounds))

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from workers.contracts import ParameterSpec, Scalar
+from workers.contracts import ParameterSpec
 from workers.physics import clips, rotations
 from workers.physics.athlete import COORDINATES, JOINTS, SPHERICAL, held_within
 from workers.physics.rotations import Array
@@ -45,6 +45,13 @@ PARAMETERS: Mapping[str, ParameterSpec] = {
     "v_z": ParameterSpec("float", -2.5, -0.5, unit="m/s"),
 }
 
+# The published strategies over an obstacle lie at omega_x -2.67 to 3, omega_y -2.15 to 3, omega_z -2 to 3.89.
+SPINS: Mapping[str, ParameterSpec] = {
+    "omega_x": ParameterSpec("float", -3.0, 3.0, unit="rad/s"),
+    "omega_y": ParameterSpec("float", -3.0, 3.0, unit="rad/s"),
+    "omega_z": ParameterSpec("float", -3.0, 4.0, unit="rad/s"),
+}
+
 
 def coordinate(joint: str, axis: int = 0) -> int:
     """Index in a pose of one axis of a joint (hinges have axis 0)."""
@@ -68,6 +75,8 @@ class TakeOff:
         rise: upward velocity at the start, m/s.
         time_to_bar: the bar stands where the athlete gets in so many seconds (between 0.6 and 1.5 m away).
         formulation: `support` begins in the middle of the last support, `flight` as the foot leaves the ground.
+        omega_y: spin about the vertical, rad/s.
+        gap: from the root to the bar's plane or to the obstacle, m, where it does not follow from the approach.
     """
 
     alpha: float
@@ -78,6 +87,8 @@ class TakeOff:
     rise: float
     time_to_bar: float
     formulation: Formulation
+    omega_y: float = OMEGA_Y
+    gap: float | None = None
 
     @property
     def approach(self) -> float:
@@ -86,7 +97,9 @@ class TakeOff:
 
     @property
     def distance(self) -> float:
-        """Distance of the root from the bar's plane, m."""
+        """Distance of the root from the bar's plane or from the obstacle, m."""
+        if self.gap is not None:
+            return self.gap
         return float(np.clip(self.approach * self.time_to_bar, 0.6, 1.5))
 
 
@@ -100,17 +113,6 @@ class StartState:
     angular_velocity: Array
     pose: Array
     rates: Array
-
-
-def take_off(
-    params: Mapping[str, Scalar], *, forward: float, rise: float, time_to_bar: float, formulation: Formulation
-) -> TakeOff:
-    """The take-off state of a candidate; parameters that it lacks are at the middle of their range."""
-    values = {
-        name: float(params.get(name, (float(spec.low or 0) + float(spec.high or 0)) / 2))
-        for name, spec in PARAMETERS.items()
-    }
-    return TakeOff(**values, forward=forward, rise=rise, time_to_bar=time_to_bar, formulation=formulation)
 
 
 def start_state(world: World, state: TakeOff) -> StartState:
@@ -133,7 +135,7 @@ def start_state(world: World, state: TakeOff) -> StartState:
     heading = rotations.from_rotation_vector(np.array([0, yaw, 0]))
     forward, up, right = (rotations.rotate(heading, axis) for axis in np.eye(3))
     orientation = rotations.multiply(heading, rotations.from_rotation_vector(np.array([0, 0, lean])))
-    spin = forward * state.omega_x + up * OMEGA_Y + right * state.omega_z
+    spin = forward * state.omega_x + up * state.omega_y + right * state.omega_z
     velocity = forward * state.forward + up * state.rise + right * state.v_z
 
     athlete = world.athlete

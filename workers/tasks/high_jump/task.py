@@ -1,21 +1,22 @@
-"""The high jump as a `Task`: train from a take-off state, then find the highest bar that the policy clears."""
+"""Jumps as tasks: train from a take-off state, then find the highest bar, or the widest obstacle, that is cleared.
+
+The level of a jump is the height of its bar, or the width of its obstacle, m.
+"""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
-from safetensors.numpy import load, save
 
 from workers.audit import Audit, audit
 from workers.contracts import JSON, BadJob, Context, Job, Outcome, TaskInfo
-from workers.learning.policy import Policy
+from workers.learning.policy import Policy, note_of, with_note
 from workers.learning.ppo import POLICY_ARTIFACT, train
-from workers.learning.problem import Curriculum, Diverged, SuccessCurriculum, Trained
+from workers.learning.problem import Curriculum, Diverged, Trained
 from workers.learning.rollout import play
 from workers.learning.settings import TrainingSettings
 from workers.novelty import Novelty
@@ -23,8 +24,9 @@ from workers.physics.rendering import render_frame
 from workers.replay import Recorder, Replay
 from workers.tasks.high_jump import behaviour, takeoff
 from workers.tasks.high_jump.env import HighJumpEnv
+from workers.tasks.high_jump.jump_settings import JumpSettings
 from workers.tasks.high_jump.naming import name_jump
-from workers.tasks.high_jump.settings import TRAINING, HighJumpSettings, check_parameters
+from workers.tasks.high_jump.settings import TRAINING, HighJumpSettings, ObstacleJumpSettings
 
 REPLAY_ARTIFACT = "replay.bin"
 POSE_ARTIFACT = "pose.png"
@@ -35,17 +37,17 @@ _REACH = 0.4
 
 
 @dataclass(frozen=True, slots=True)
-class HighJumpProblem:
+class JumpProblem:
     """What the learner gets.
 
     Args:
         settings: of the task.
         state: the take-off state.
         novelty: what the jump that is learnt is to be unlike, or None.
-        cleared: the bar that the policy it starts from clears, m; None from scratch.
+        cleared: the level that the policy it starts from clears, m; None from scratch.
     """
 
-    settings: HighJumpSettings
+    settings: JumpSettings
     state: takeoff.TakeOff
     novelty: Novelty | None = None
     cleared: float | None = None
@@ -60,6 +62,10 @@ class HighJumpProblem:
         return HighJumpEnv(
             self.state,
             control_rate=s.control_rate,
+            hard_rate=s.control_rate_hard,
+            hardness=s.hardness,
+            offsets=(s.offset_easy, s.offset_hard),
+            obstacle=s.obstacle,
             mat_height=s.mat_height,
             recorder=recorder,
             poses=s.pose_model(),
@@ -70,24 +76,23 @@ class HighJumpProblem:
         )
 
     def curriculum(self) -> Curriculum:
-        """The bar, from the first to the one that ends the training.
+        """The levels, from the first to the one that ends the training.
 
         A training that goes on with a policy begins a little below what that clears, one for something new at the
-        first bar: a new jump is learnt like the first.
+        first level: a new jump is learnt like the first.
         """
-        s = self.settings
-        curriculum = SuccessCurriculum(s.first_bar, s.bar_step, s.last_bar)
+        levels, curriculum = self.settings.levels, self.settings.new_curriculum()
         if self.cleared is not None and self.novelty is None:
             # in steps, which a checkpoint keeps: a training that is resumed may have no parent any more
-            curriculum.steps = max(0, int((self.cleared - _BACK - s.first_bar) / s.bar_step + 1e-9))
+            curriculum.steps = max(0, int((self.cleared - _BACK - levels.first) / levels.step + 1e-9))
         return curriculum
 
-    def bars_from(self, level: float) -> list[float]:
-        """Bars to try (m), highest first: from above the curriculum's level down to the lowest, in its steps."""
-        s = self.settings
-        top = min(level + _REACH, s.highest_bar)
-        count = int(np.floor((top - s.lowest_bar) / s.bar_step + 1e-9))
-        return [round(s.lowest_bar + i * s.bar_step, 9) for i in range(count, -1, -1)]
+    def levels_from(self, level: float) -> list[float]:
+        """Levels to try (m), highest first: from above the curriculum's down to the lowest, in its steps."""
+        levels = self.settings.levels
+        top = min(level + _REACH, levels.highest)
+        count = int(np.floor((top - levels.lowest) / levels.step + 1e-9))
+        return [round(levels.lowest + i * levels.step, 9) for i in range(count, -1, -1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,13 +100,13 @@ class Jump:
     """A deterministic jump that landed.
 
     Args:
-        bar: what it cleared, m.
+        level: what it cleared, m.
         replay: the recording.
         audit: what the audit says of it.
         reward: what it earned.
     """
 
-    bar: float
+    level: float
     replay: Replay
     audit: Audit
     reward: float
@@ -113,13 +118,19 @@ class HighJump:
     Its value is the highest bar (m) that the deterministic policy clears in a replay that passes the audit.
     """
 
+    name: ClassVar[str] = "high_jump"
+    summary: ClassVar[str] = "A full athlete learns to jump over a bar from a given take-off state"
+    Settings: ClassVar[type[JumpSettings]] = HighJumpSettings
+    level: ClassVar[str] = "bar"
+    """What the level is called among the details."""
+
     def info(self, settings: Mapping[str, JSON]) -> TaskInfo:
         """The task under these settings. Raises `BadSetting`."""
-        parsed = HighJumpSettings.parse(settings)
+        parsed = self.Settings.parse(settings)
         return TaskInfo(
-            name="high_jump",
-            summary="A full athlete learns to jump over a bar from a given take-off state",
-            parameters=takeoff.PARAMETERS,
+            name=self.name,
+            summary=self.summary,
+            parameters=self.Settings.parameters,
             features=behaviour.FEATURES[parsed.feature],
             seeks_novelty=True,
             settings=parsed.to_json(),
@@ -128,40 +139,47 @@ class HighJump:
 
     def validate(self, settings: Mapping[str, JSON], training: Mapping[str, JSON], names: Sequence[str]) -> None:
         """Refuse wrong settings, training settings and unknown parameters (`BadSetting`)."""
-        HighJumpSettings.parse(settings)
+        self.Settings.parse(settings)
         TrainingSettings.parse(training, TRAINING)
-        check_parameters(names)
+        self.Settings.check_parameters(names)
+
+    def problem_of(self, job: Job) -> JumpProblem:
+        """What a job trains, checked. Raises `BadSetting`."""
+        settings = self.Settings.parse(job.task_settings)
+        settings.check_parameters(job.params)
+        novelty = Novelty.of(job, behaviour.FEATURES[settings.feature])
+        return JumpProblem(settings, settings.take_off(job.params), novelty)
 
     def run(self, job: Job, context: Context) -> Outcome:
         """Train, then look for the highest bar. Artifacts: the policy; of a cleared bar its replay and a picture."""
-        problem = replace(problem_of(job), cleared=_cleared_by_parent(job, context))
+        problem = replace(self.problem_of(job), cleared=_cleared_by_parent(job, context))
         try:
             trained = train(job, context, problem, TrainingSettings.parse(job.training, TRAINING))
         except Diverged as error:
             details = {"iteration": error.iteration, "quantity": error.quantity}
             return Outcome("diverged", cost=error.cost, message=str(error), details=details)
-        context.log(f"trained to the bar at {trained.level:.2f} m; looking for the highest one it clears believably")
+        context.log(f"trained to {trained.level:.2f} m; looking for the highest {self.level} it clears believably")
         best, refused = highest_jump(problem, trained)
         if best is None:
             context.save_artifact(POLICY_ARTIFACT, trained.policy.to_bytes())
-            return _infeasible(problem, trained, refused)
-        context.save_artifact(POLICY_ARTIFACT, with_bar(trained.policy.to_bytes(), best.bar))
+            return _infeasible(problem, trained, refused, self.level)
+        context.save_artifact(POLICY_ARTIFACT, with_bar(trained.policy.to_bytes(), best.level))
         context.save_artifact(REPLAY_ARTIFACT, best.replay.to_bytes())
         passing = behaviour.over_the_bar(best.replay)
         if passing is None:  # the rules let nobody land who has not passed the bar
-            raise BadJob(f"jump over {best.bar:g} m: expected its centre of mass to pass the bar's plane, found none")
+            raise BadJob(f"jump over {best.level:g} m: expected its centre of mass to pass the bar's plane, found none")
         time, orientation = passing
         context.save_artifact(POSE_ARTIFACT, render_frame(best.replay, time))
         facing = behaviour.facing(orientation)
         found = behaviour.behaviour_of(orientation, behaviour.FEATURES[problem.settings.feature])
         return Outcome(
             "complete",
-            value=best.bar,
+            value=best.level,
             features=found,
             cost=trained.cost,
             details={
                 **name_jump(best.replay).to_json(),
-                "bar": best.bar,
+                self.level: best.level,
                 "cleared": True,
                 "facing": facing,
                 "rotation": [float(v) for v in orientation],
@@ -172,47 +190,58 @@ class HighJump:
         )
 
     def simulate(self, job: Job, policy: bytes) -> Replay:
-        """See `simulate`."""
-        return simulate(job, policy)
+        """The best jump of a stored policy, simulated again, bit for bit the same.
+
+        Args:
+            job: of the trial that learnt the policy.
+            policy: its artifact `policy.safetensors`.
+
+        Raises `BadJob` where the policy is of another task or never cleared a bar.
+        """
+        bar = bar_of(policy)
+        jump = recorded_jump(self.problem_of(job), Policy.from_bytes(policy), bar)
+        if jump is None:
+            raise BadJob(
+                f"policy: expected one that clears {bar:g} m as trial {job.trial} did, found one that doesn't; "
+                "was it simulated by another version of halma or on another kind of machine?"
+            )
+        return jump.replay
 
     def audit(self, job: Job, policy: bytes, rollouts: int) -> Audit:
         """See `auditing.audit_policy`."""
         from workers.tasks.high_jump.auditing import audit_policy  # noqa: PLC0415 - it needs this module
 
-        return audit_policy(job, policy, rollouts)
+        return audit_policy(self.problem_of(job), job, policy, rollouts)
+
+
+class ObstacleJump(HighJump):
+    """The task `obstacle_jump`: a straight run at a box, or with a height of 0 a long jump.
+
+    Its value is the widest obstacle (m) that the deterministic policy clears in a replay that passes the audit.
+    """
+
+    name = "obstacle_jump"
+    summary = "A full athlete learns to jump over a box from a straight run; without the box a long jump"
+    Settings = ObstacleJumpSettings
+    level = "width"
 
 
 def simulate(job: Job, policy: bytes) -> Replay:
-    """The best jump of a stored policy, simulated again, bit for bit the same.
-
-    Args:
-        job: of the trial that learnt the policy.
-        policy: its artifact `policy.safetensors`.
-
-    Raises `BadJob` where the policy is of another task or never cleared a bar.
-    """
-    problem = problem_of(job)
-    bar = bar_of(policy)
-    jump = recorded_jump(problem, Policy.from_bytes(policy), bar)
-    if jump is None:
-        raise BadJob(
-            f"policy: expected one that clears {bar:g} m as trial {job.trial} did, found one that doesn't; "
-            "was it simulated by another version of halma or on another kind of machine?"
-        )
-    return jump.replay
+    """See `HighJump.simulate`."""
+    return HighJump().simulate(job, policy)
 
 
-def highest_jump(problem: HighJumpProblem, trained: Trained) -> tuple[Jump | None, Jump | None]:
+def highest_jump(problem: JumpProblem, trained: Trained) -> tuple[Jump | None, Jump | None]:
     """The highest believable jump of the deterministic policy, or None; beside it the highest one the audit refused."""
-    level = problem.settings.first_bar if trained.level is None else trained.level
+    start = problem.settings.levels.first if trained.level is None else trained.level
     refused: Jump | None = None
     scout = problem.env(None)
     try:
-        for bar in problem.bars_from(level):
+        for level in problem.levels_from(start):
             # without a recorder first: recording triples the time, and most bars above the level are missed
-            if not play(scout, trained.policy, seed=0, level=bar).success:
+            if not play(scout, trained.policy, seed=0, level=level).success:
                 continue
-            jump = recorded_jump(problem, trained.policy, bar)
+            jump = recorded_jump(problem, trained.policy, level)
             if jump is not None and jump.audit.passed:
                 return jump, refused
             refused = refused or jump
@@ -221,26 +250,25 @@ def highest_jump(problem: HighJumpProblem, trained: Trained) -> tuple[Jump | Non
     return None, refused
 
 
-def recorded_jump(problem: HighJumpProblem, policy: Policy, bar: float) -> Jump | None:
+def recorded_jump(problem: JumpProblem, policy: Policy, level: float) -> Jump | None:
     """One deterministic jump in a new world, recorded and audited; None where it fails."""
-    recorder = Recorder(takeoff.TAKE_OFF_FOOT, {"name": "high_jump", "formulation": problem.settings.formulation})
+    recorder = Recorder(
+        takeoff.TAKE_OFF_FOOT, {"name": problem.settings.task, "formulation": problem.settings.formulation}
+    )
     env = problem.env(recorder)
     try:
-        episode = play(env, policy, seed=0, level=bar)
+        episode = play(env, policy, seed=0, level=level)
     finally:
         env.close()
     if not episode.success:
         return None
     replay = recorder.replay()
-    return Jump(bar, replay, audit(replay), episode.total)
+    return Jump(level, replay, audit(replay), episode.total)
 
 
-def problem_of(job: Job) -> HighJumpProblem:
-    """What a job trains, checked. Raises `BadSetting`."""
-    settings = HighJumpSettings.parse(job.task_settings)
-    check_parameters(job.params)
-    novelty = Novelty.of(job, behaviour.FEATURES[settings.feature])
-    return HighJumpProblem(settings, settings.take_off(job.params), novelty)
+def problem_of(job: Job) -> JumpProblem:
+    """See `HighJump.problem_of`."""
+    return HighJump().problem_of(job)
 
 
 def _cleared_by_parent(job: Job, context: Context) -> float | None:
@@ -253,7 +281,7 @@ def _cleared_by_parent(job: Job, context: Context) -> float | None:
         return None  # a resumed training needs its parent no more, and a new one is told by the learner what is wrong
 
 
-def _common(problem: HighJumpProblem, trained: Trained) -> dict[str, JSON]:
+def _common(problem: JumpProblem, trained: Trained) -> dict[str, JSON]:
     """Details of every outcome of a finished training."""
     return {
         "level": trained.level,
@@ -266,33 +294,31 @@ def _common(problem: HighJumpProblem, trained: Trained) -> dict[str, JSON]:
     }
 
 
-def _infeasible(problem: HighJumpProblem, trained: Trained, refused: Jump | None) -> Outcome:
-    """No bar was cleared, or none believably."""
-    details = {"bar": None, "cleared": False, "facing": None, "rotation": None, **_common(problem, trained)}
-    message = f"the policy clears no bar of {problem.settings.lowest_bar:g} m or more"
+def _infeasible(problem: JumpProblem, trained: Trained, refused: Jump | None, name: str) -> Outcome:
+    """No level was cleared, or none believably."""
+    details = {name: None, "cleared": False, "facing": None, "rotation": None, **_common(problem, trained)}
+    message = f"the policy clears no {name} of {problem.settings.levels.lowest:g} m or more"
     if refused is not None:
         details |= {"audit": refused.audit.to_json()}
-        message = f"the audit refused every jump; the highest, over {refused.bar:g} m, for: " + ", ".join(
+        message = f"the audit refused every jump; the highest, over {refused.level:g} m, for: " + ", ".join(
             refused.audit.failures
         )
     return Outcome("infeasible", cost=trained.cost, message=message, details=details)
 
 
-_BAR_TENSOR = "high_jump.bar"
+_BAR = "high_jump.bar"
 
 
 def with_bar(policy: bytes, bar: float) -> bytes:
     """A stored policy that knows the bar (m) of its best jump; the learner reads it like any other."""
-    header = json.loads(policy[8 : 8 + int.from_bytes(policy[:8], "little")])  # the format's own layout
-    return save({**load(policy), _BAR_TENSOR: np.array(bar)}, header["__metadata__"])
+    return with_note(policy, _BAR, bar)
 
 
 def bar_of(policy: bytes) -> float:
     """The bar that `with_bar` noted. Raises `BadJob` where there is none."""
-    Policy.from_bytes(policy)  # refuses what is no policy at all
-    tensors = load(policy)
-    if _BAR_TENSOR not in tensors:
+    bar = note_of(policy, _BAR)
+    if bar is None:
         raise BadJob(
             "policy: expected one of a trial that cleared a bar, found one without; it has no jump to simulate"
         )
-    return float(tensors[_BAR_TENSOR])
+    return bar

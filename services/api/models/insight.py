@@ -1,10 +1,10 @@
-"""What the API says of what a search has learnt, typed."""
+"""What a search has learnt."""
 
 from __future__ import annotations
 
 from pydantic import Field, JsonValue
 
-from services.api.models import Model
+from services.api.models.basis import Model, Page
 from services.states import TrialState
 
 
@@ -131,12 +131,11 @@ class LadderPoint(Model):
     state: TrialState
 
 
-class Ladder(Model):
+class Ladder(Page):
     """Difficulties, easiest first, and trials by number."""
 
     levels: list[LevelOut]
     points: list[LadderPoint]
-    next: int | None = Field(description="pass as `after` for more points; none at the end")
 
 
 class NodeOut(Model):
@@ -157,12 +156,11 @@ class EdgeOut(Model):
     child: int
 
 
-class Lineage(Model):
+class Lineage(Page):
     """Who was warm-started from whom. Nodes and edges of a page belong together."""
 
     nodes: list[NodeOut]
     edges: list[EdgeOut]
-    next: int | None = Field(description="pass as `after` for the children with higher numbers; none at the end")
 
 
 class Curve(Model):

@@ -1,0 +1,1 @@
+"""Walking of a biped whose measures are searched over."""

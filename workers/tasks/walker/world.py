@@ -1,0 +1,212 @@
+"""The walker's world: a floor, one walker, and the hand that helps it.
+
+The helping hand is a PD controller on the root (Yu, Turk and Liu 2018, "Learning Symmetric and Low-Energy Locomotion",
+section 4; gains of Yang 2021, section 6.3): it keeps the torso upright, facing forward, at its height and on its line,
+and moves it at a steady speed. Its gains are kp = kd = 200 (1 - level), so that at level 1 the walker is on its own.
+They are accelerations (1/s^2 and 1/s), so that a body of 6 kg is helped as much as one of 290 kg.
+
+Hinges are moved by torques alone. What ligaments do beside muscles is a spring and a damper in each: without them
+nobody stands long enough to learn anything.
+
+Both are stiff for a step of 1/60 s, the dampers for a small foot alone: explicit control would throw them about. So it
+is first felt how much each hinge and each axis of the root resists (`_felt`), and what damps is divided by
+1 + damping x step / inertia, which is backward Euler's rule.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pybullet as bullet
+import pybullet_data
+from numpy.typing import NDArray
+
+from workers.physics.rotations import Array
+from workers.physics.world import GRAVITY, quiet
+from workers.tasks.walker.body import HINGES, Figure
+
+STEP = 1 / 240
+"""Seconds of a physics step."""
+STEPS = 4
+"""Physics steps in a control step: torques change 60 times a second."""
+CONTROL = STEP * STEPS
+SOLVER_ITERATIONS = 10
+GAIN = 200.0
+"""kp, 1/s^2, and kd, 1/s, where help is whole."""
+STIFFNESS = 40.0
+"""N m/rad of every hinge's ligaments, whose rest is the standing pose. Two ankles need 700 to hold the whole body."""
+DAMPING = 5.0
+"""N m s/rad in every hinge."""
+FASTEST = 30.0
+"""rad/s; no hinge turns faster."""
+JOINTS = list(range(len(HINGES)))
+LOW: Array = np.array([hinge.low for hinge in HINGES])
+HIGH: Array = np.array([hinge.high for hinge in HINGES])
+TORQUE: Array = np.array([hinge.torque for hinge in HINGES])
+FEET = tuple(i for i, hinge in enumerate(HINGES) if hinge.name.endswith("ankle_tilt"))
+"""Bullet's links of the right and the left foot."""
+
+
+class WalkerWorld:
+    """One Bullet world with a walker, without display.
+
+    Args:
+        figure: the walker's measures.
+        speed: that the helping hand pushes towards, m/s.
+    """
+
+    def __init__(self, figure: Figure, *, speed: float) -> None:
+        self.figure, self.speed = figure, speed
+        self._urdf = figure.urdf()
+        self._client = -1
+        self.level = 1.0
+        self.rebuild()
+
+    def rebuild(self) -> None:
+        """Begin again as newly constructed, bit for bit."""
+        with quiet():
+            if self._client < 0:
+                self._client = bullet.connect(bullet.DIRECT)
+            self._k = {"physicsClientId": self._client}
+            bullet.resetSimulation(**self._k)
+            with tempfile.TemporaryDirectory(prefix="halma-walker-") as folder:
+                path = Path(folder) / "walker.urdf"
+                path.write_text(self._urdf, encoding="utf-8")
+                flags = bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_MAINTAIN_LINK_ORDER
+                self.body: int = bullet.loadURDF(str(path), [0, self.figure.height, 0], flags=flags, **self._k)
+            floor = Path(pybullet_data.getDataPath()) / "plane_implicit.urdf"
+            upright = bullet.getQuaternionFromEuler([-math.pi / 2, 0, 0])
+            self._floor = bullet.loadURDF(str(floor), [0, 0, 0], upright, useMaximalCoordinates=True, **self._k)
+        bullet.changeDynamics(self._floor, -1, lateralFriction=1.0, **self._k)
+        for link in range(-1, len(JOINTS)):
+            bullet.changeDynamics(
+                self.body, link, linearDamping=0, angularDamping=0, lateralFriction=1.0,
+                maxJointVelocity=FASTEST, **self._k,
+            )  # fmt: skip
+        # Bullet brakes every hinge with a motor of its own: take it away
+        bullet.setJointMotorControlArray(
+            self.body, JOINTS, bullet.VELOCITY_CONTROL, forces=[0.0] * len(JOINTS), **self._k
+        )
+        bullet.setPhysicsEngineParameter(
+            numSolverIterations=SOLVER_ITERATIONS, deterministicOverlappingPairs=1, numSubSteps=0, **self._k
+        )
+        moments, hinges = self._felt()
+        self._moments: list[float] = moments.tolist()
+        self._yields: list[float] = (1 / (1 + CONTROL * DAMPING / hinges)).tolist()
+        bullet.setGravity(0, -GRAVITY, 0, **self._k)
+        bullet.setTimeStep(CONTROL, **self._k)
+        bullet.setPhysicsEngineParameter(numSubSteps=STEPS, **self._k)
+        self._links = [-1, *(i for i, hinge in enumerate(HINGES) if _carries(hinge.name))]
+
+    def _felt(self) -> tuple[Array, Array]:
+        """What a turn is resisted with, by the walker in the air with its hinges in the middle of their ranges.
+
+        By the root about its axes ``[3]`` and by each hinge ``[15]``, kg m^2: the speed that 1 N m gives in one step.
+        """
+        bullet.setGravity(0, 0, 0, **self._k)
+        bullet.setTimeStep(STEP, **self._k)
+        moments, hinges = np.empty(3), np.empty(len(JOINTS))
+        middle, above = (LOW + HIGH) / 2, [0.0, self.figure.height + 1.0, 0.0]
+        for axis, torque in enumerate(np.eye(3).tolist()):
+            self.place(middle, above)
+            bullet.applyExternalTorque(self.body, -1, torque, bullet.WORLD_FRAME, **self._k)
+            bullet.stepSimulation(**self._k)
+            moments[axis] = STEP / bullet.getBaseVelocity(self.body, **self._k)[1][axis]
+        for joint, torque in enumerate(np.eye(len(JOINTS)).tolist()):
+            self.place(middle, above)
+            self._turn(torque)
+            bullet.stepSimulation(**self._k)
+            hinges[joint] = STEP / bullet.getJointState(self.body, joint, **self._k)[1]
+        return moments, hinges
+
+    def _turn(self, torques: list[float]) -> None:
+        """Torques ``[15]`` (N m) for the next control step."""
+        bullet.setJointMotorControlArray(self.body, JOINTS, bullet.TORQUE_CONTROL, forces=torques, **self._k)
+
+    def close(self) -> None:
+        """Free Bullet's memory. A closed world can only be rebuilt."""
+        if self._client >= 0:
+            bullet.disconnect(self._client)
+            self._client = -1
+
+    def place(self, angles: NDArray[np.float64], position: list[float]) -> None:
+        """Put the walker somewhere (torso's centre, m), upright and at rest, its hinges at ``[15]`` rad."""
+        bullet.resetBasePositionAndOrientation(self.body, position, [0, 0, 0, 1], **self._k)
+        bullet.resetBaseVelocity(self.body, [0, 0, 0], [0, 0, 0], **self._k)
+        bullet.resetJointStatesMultiDof(
+            self.body, JOINTS, [[angle] for angle in angles.tolist()], [[0.0]] * len(JOINTS), **self._k
+        )
+
+    def advance(self, torques: NDArray[np.float64]) -> None:
+        """Simulate one control step (1/60 s) under these torques ``[15]``, N m, and those of the ligaments."""
+        states = bullet.getJointStates(self.body, JOINTS, **self._k)
+        self._turn(
+            [
+                torque - share * (STIFFNESS * state[0] + DAMPING * state[1])
+                for torque, share, state in zip(torques.tolist(), self._yields, states, strict=True)
+            ]
+        )
+        if self.level < 1:
+            self._help()
+        bullet.stepSimulation(**self._k)
+
+    def _help(self) -> None:
+        """The helping hand's push for the next control step.
+
+        Force m g' (target - x + target' - x') and torques I g' (0 - tilt - spin) about the root's axes, where
+        g' = gain / (1 + gain dt); m is the mass of the whole body, I what was felt.
+        """
+        gain = GAIN * (1 - self.level)
+        gain /= 1 + gain * CONTROL
+        position, (x, y, z, w), velocity, spin = self.root()
+        sign = -2.0 if w < 0 else 2.0  # small angles: twice the vector part of the short way
+        tilt = (sign * x, sign * y, sign * z)
+        lacking = (self.speed - velocity[0], self.figure.height - position[1] - velocity[1], -position[2] - velocity[2])
+        push = [self.figure.mass * gain * each for each in lacking]
+        turn = [-moment * gain * (tilt[i] + spin[i]) for i, moment in enumerate(self._moments)]
+        bullet.applyExternalForce(self.body, -1, push, position, bullet.WORLD_FRAME, **self._k)
+        bullet.applyExternalTorque(self.body, -1, turn, bullet.WORLD_FRAME, **self._k)
+
+    def root(self) -> tuple[tuple[float, ...], ...]:
+        """Position ``[3]``, orientation ``[4]``, velocity ``[3]`` and angular velocity ``[3]`` of the torso."""
+        position, orientation = bullet.getBasePositionAndOrientation(self.body, **self._k)
+        velocity, spin = bullet.getBaseVelocity(self.body, **self._k)
+        return position, orientation, velocity, spin
+
+    def joints(self) -> tuple[Array, Array]:
+        """Angles and rates of the hinges, ``[15]`` each."""
+        states = bullet.getJointStates(self.body, JOINTS, **self._k)
+        return np.array([s[0] for s in states]), np.array([s[1] for s in states])
+
+    def touching(self) -> set[int]:
+        """Links that touch the floor; -1 is the torso."""
+        return {point[3] for point in bullet.getContactPoints(self.body, self._floor, **self._k)}
+
+    def links(self) -> Array:
+        """State of each body ``[9, 10]``: centre of mass (m), orientation (x y z w), velocity (m/s)."""
+        position, orientation, velocity, _ = self.root()
+        states = bullet.getLinkStates(
+            self.body, self._links[1:], computeLinkVelocity=1, computeForwardKinematics=1, **self._k
+        )
+        return np.array([position + orientation + velocity, *(s[0] + s[1] + s[6] for s in states)])
+
+    def contacts(self) -> tuple[Array, Array]:
+        """Force of the floor on each body (N) and where it acts (m), ``[9, 3]`` each, in the step just made."""
+        force, point = np.zeros((len(self._links), 3)), np.zeros((len(self._links), 3))
+        weight = np.zeros(len(self._links))
+        for seen in bullet.getContactPoints(self.body, self._floor, **self._k):
+            body = self._links.index(seen[3])
+            normal, first, second = (np.asarray(seen[i]) for i in (7, 11, 13))
+            force[body] += seen[9] * normal + seen[10] * first + seen[12] * second
+            point[body] += seen[9] * np.asarray(seen[5])
+            weight[body] += seen[9]
+        point[weight > 0] /= weight[weight > 0, None]
+        return force, point
+
+
+def _carries(hinge: str) -> bool:
+    """Whether a body hangs on the hinge, rather than another hinge."""
+    return hinge.endswith(("waist_bend", "pelvis_tilt", "hip_bend", "knee_bend", "ankle_tilt"))
