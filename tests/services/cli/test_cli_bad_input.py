@@ -263,3 +263,9 @@ def test_the_installed_command_prints_one_message_and_exits_with_2(shell, hill):
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr == "a.yaml:9: search.trails: expected a known key, found trails; did you mean trials?\n"
+
+
+def test_pages_that_drive_nothing_take_no_pools(shell):
+    said = shell("serve", "--pages-only", "--pool", "default=2")
+    assert said.code == 2
+    assert "--pages-only: expected neither --pool nor --ray-address beside it" in said.err
