@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -128,6 +128,12 @@ def serve(
     hosts: Annotated[
         list[str] | None, typer.Option("--allow-host", help="A further name under which browsers reach the service.")
     ] = None,
+    pages_only: Annotated[
+        bool,
+        typer.Option(
+            "--pages-only", help="Drive nothing: a service elsewhere on the same database does (no Ray here)."
+        ),
+    ] = False,
     ray: RayAddress = None,
     db: Db = None,
     artifacts: Artifacts = None,
@@ -137,7 +143,9 @@ def serve(
     from services import serving  # noqa: PLC0415 - the web framework takes a second to import
     from services.ray_environment import prepare  # noqa: PLC0415 - as above
 
-    sizes = read_pools(pools or []) or ({"default": os.cpu_count() or 1} if ray is None else None)
+    if pages_only and (pools or ray is not None):
+        raise BadInput("--pages-only: expected neither --pool nor --ray-address beside it: it runs no trials")
+    sizes = read_pools(pools or []) or ({"default": os.cpu_count() or 1} if ray is None and not pages_only else None)
     settings = find_settings(db, artifact_root=artifacts)
     listen = serving.PORT if port is None else port
 
@@ -150,9 +158,8 @@ def serve(
         with coordinator_serving(settings.database, settings.artifacts, folder, sizes, ray_address=ray, tell=warn):
             yield
 
-    serving.serve(
-        settings, start_coordinator=coordinator, say=say, host=host, port=listen, hosts=hosts or [], pools=sizes
-    )
+    drive = nullcontext if pages_only else coordinator
+    serving.serve(settings, start_coordinator=drive, say=say, host=host, port=listen, hosts=hosts or [], pools=sizes)
 
 
 def _overridden_by(overrides: list[str] | None, name: str | None, profile: str | None) -> list[str]:

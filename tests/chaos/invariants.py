@@ -58,6 +58,8 @@ class Record:
             self.artifacts = rows(f"SELECT * FROM artifacts {within} ORDER BY trial_id, name", of)
             self.proposals = rows("SELECT * FROM proposals WHERE study_id = ? ORDER BY id", of)
             self.events = rows("SELECT * FROM events WHERE study_id = ? ORDER BY id", of)
+            # Of no study: it is the driver's word that the database was away for a while.
+            self.times_away = rows("SELECT count(*) AS n FROM events WHERE kind = ?", "database_back")[0]["n"]
         for event in self.events:
             event["payload"] = json.loads(event["payload"])
 

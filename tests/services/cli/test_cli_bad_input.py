@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from services.amending import AMENDABLE
+
 ROOT = Path(__file__).parents[3]
 
 
@@ -96,23 +98,22 @@ def test_a_search_budget_of_zero(shell, hill):
     )
 
 
-def test_a_name_that_exists_says_what_changed_and_how_to_go_on(shell, hill):
+def test_a_name_that_exists_says_what_changed_what_may_and_how_to_go_on(shell, hill):
     assert shell("run", "hill.yaml", "--inline").code == 0
-    shell.write("a.yaml", hill.replace("trials: 4", "trials: 6"))
+    before = shell("show", "hill", "--json").json
+    shell.write("a.yaml", hill.replace("trials: 4", "trials: 6").replace("seed: 7", "seed: 8"))
     assert refused(shell, "run", "a.yaml", rows=["hill"]) == (
         "a.yaml:1: name: expected the study hill as it was created, or a new name, found changes:\n"
-        "  search.trials: 4 in the study, 6 in the file\n"
-        "A study keeps what it was created with. Raise its budget with `halma extend hill --trials 2`, "
-        "or run the changed file as a new study with `--name NEW`.\n"
-    )
-    shell.write("b.yaml", hill.replace("seed: 7", "seed: 8").replace("strategy: random", "strategy: sobol"))
-    assert refused(shell, "run", "b.yaml", rows=["hill"]) == (
-        "b.yaml:1: name: expected the study hill as it was created, or a new name, found changes:\n"
-        "  search.strategy: the text 'random' in the study, the text 'sobol' in the file\n"
         "  seed: 7 in the study, 8 in the file\n"
-        "A study keeps what it was created with. Go on with it as it is (`halma resume hill`), "
-        "or run the changed file as a new study with `--name NEW`.\n"
+        "A study keeps what makes it what it is: task, space, seed, search, training, stages. Nothing was changed.\n"
+        f"What can change is how it is run ({', '.join(AMENDABLE)}), and its budget (search.trials, search.cost) "
+        "can be raised. Of this file that is: search.trials: 4 -> 6.\n"
+        "Run this file as a new study: halma run a.yaml --name NEW. "
+        "Go on with the old one as it is: halma resume hill\n"
     )
+    assert shell("show", "hill", "--json").json == before, "not even the budget, which alone could be raised"
+    shell.write("b.yaml", hill.replace("trials: 4", "trials: 3"))
+    assert "  search.trials: 4 in the study, 3 in the file" in refused(shell, "run", "b.yaml", rows=["hill"])
 
 
 def test_a_database_that_is_another_file(shell, hill):
@@ -262,3 +263,9 @@ def test_the_installed_command_prints_one_message_and_exits_with_2(shell, hill):
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr == "a.yaml:9: search.trails: expected a known key, found trails; did you mean trials?\n"
+
+
+def test_pages_that_drive_nothing_take_no_pools(shell):
+    said = shell("serve", "--pages-only", "--pool", "default=2")
+    assert said.code == 2
+    assert "--pages-only: expected neither --pool nor --ray-address beside it" in said.err
