@@ -32,7 +32,7 @@ PARAMETERS: Mapping[str, ParameterSpec] = {
     **{f"{part}_length": ParameterSpec("float", 0.3, 2.0, unit="x") for part in PARTS},
     **{f"{part}_radius": ParameterSpec("float", 0.5, 1.5, unit="x") for part in PARTS},
 }
-"""The thesis' space (Yang 2021, section 6.3): factors of lengths and radii."""
+"""The thesis' space (Yang 2021): factors of lengths and radii."""
 
 Axis = Literal["x", "y", "z"]
 

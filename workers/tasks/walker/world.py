@@ -1,7 +1,7 @@
 """The walker's world: a floor, one walker, and the hand that helps it.
 
 The helping hand is a PD controller on the root (Yu, Turk and Liu 2018, "Learning Symmetric and Low-Energy Locomotion",
-section 4; gains of Yang 2021, section 6.3): it keeps the torso upright, facing forward, at its height and on its line,
+section 4; gains of Yang 2021): it keeps the torso upright, facing forward, at its height and on its line,
 and moves it at a steady speed. Its gains are kp = kd = 200 (1 - level), so that at level 1 the walker is on its own.
 They are accelerations (1/s^2 and 1/s), so that a body of 6 kg is helped as much as one of 290 kg.
 
