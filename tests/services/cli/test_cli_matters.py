@@ -10,7 +10,7 @@ task: sample_hills:peak
 space:
   rate: {type: float, low: 1.0e-5, high: 0.1, log: true}
   idle: {type: float, low: 0, high: 1}
-search: {strategy: cmfbo, trials: 14}
+search: {strategy: cmfbo, trials: 30}
 seed: 3
 """
 
@@ -41,7 +41,7 @@ def test_show_tells_what_matters_the_ladder_and_the_best_setting(shell, peak):
 def test_the_best_setting_pasted_into_the_next_study_runs(shell, peak):
     pasted = shell("show", "peak", "--json").json["importance"]["best"]
     head, _, tail = PEAK.replace("name: peak", "name: again").partition("space:")
-    shell.write("again.yaml", head + pasted["yaml"] + tail[tail.index("search:") :].replace("trials: 14", "trials: 3"))
+    shell.write("again.yaml", head + pasted["yaml"] + tail[tail.index("search:") :].replace("trials: 30", "trials: 3"))
     typed = shell("run", "again.yaml", "--inline")
     assert typed.code == 0, typed.err
     space = shell("show", "again", "--json").json["spec"]["space"]
