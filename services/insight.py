@@ -287,7 +287,9 @@ AGREES = 0.5
 
 def _importance_note(looked: Looked, subject: Subject, found: Importances | None) -> str:
     if found is None:
-        return f"Too few complete trials ({len(looked.trials)} finished) to tell which parameters matter."
+        level = " at full difficulty" if any(trial.z is not None for trial in looked.trials) else ""
+        known = sum(map(answers, looked.trials))
+        return f"Too few complete trials{level} ({known}) to tell which parameters matter."
     share = max(0.0, found.explained)
     seen = f"From {found.observations} observations: {share:.0%} of the variance of the {subject} is predicted unseen."
     said = [seen]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 
 import pytest
+from lacking import without
 from object_storage import s3_root, s3_server  # noqa: F401 - fixtures of all rooms
 from playwright.sync_api import sync_playwright
 from postgres import NoPostgres, running_server
@@ -16,13 +16,6 @@ FLAGS = [
     "--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 ]  # fmt: skip
-
-
-def without(what):
-    """Skip a test for want of a program; in CI, which installs what tests need, that is a failure."""
-    if os.environ.get("CI"):
-        pytest.fail(what)
-    pytest.skip(what)
 
 
 @pytest.fixture(scope="session")

@@ -60,6 +60,9 @@ def show_matters(matters: Matters) -> None:
         say(f"What matters to the {told['of']}:")
         screen.print(importance_table(told["parameters"], screen.width))
         say(told["note"])
+    elif told is not None and told["best"] is not None:
+        say()
+        say(told["note"])
     if matters.ladder:
         say()
         say("Difficulties:")

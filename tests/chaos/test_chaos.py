@@ -12,6 +12,7 @@ from arena import Arena, Shape
 from forks import Forks
 from host_games import HOST_KINDS, HostGame
 from inline_games import Game, freeze, kill
+from lacking import without
 from places import FalseClock, SmallDisk, fill_disk
 from ray_games import RayGame
 
@@ -81,10 +82,10 @@ def test_a_study_whose_clock_jumps_equals_an_undisturbed_one(undisturbed, tmp_pa
 
 
 def may(*command):
-    """Skip where the kernel doesn't let us: these tests make file systems and networks of their own."""
+    """Whether the kernel lets us: these tests make file systems and networks of their own."""
     done = subprocess.run(["unshare", *command, "true"], capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        pytest.skip(f"expected root, who may {' '.join(command)}; found: {done.stderr.strip()}")
+        without(f"expected root, who may {' '.join(command)}; found: {done.stderr.strip()}")
 
 
 @pytest.mark.parametrize("full", ["artifacts", "database"])

@@ -266,7 +266,7 @@ class TestImportance:
     def test_few_trials_tell_nothing(self, client, record):
         found = client.get("/api/v1/studies/jump/importance").json()
         assert found["parameters"] == []
-        assert "Too few complete trials (0 finished)" in found["note"]
+        assert "Too few complete trials (0) to tell" in found["note"]
 
 
 class TestFidelity:

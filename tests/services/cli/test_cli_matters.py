@@ -38,6 +38,16 @@ def test_show_tells_what_matters_the_ladder_and_the_best_setting(shell, peak):
     assert told["importance"]["best"]["params"] == best["params"]
 
 
+def test_with_too_few_trials_of_the_real_task_it_says_so(shell):
+    shell.write("peak.yaml", PEAK.replace("trials: 30", "trials: 14"))
+    shell("run", "peak.yaml", "--inline")
+    done = sum(trial["z"] == 1 for trial in shell("trials", "peak", "--json").json)
+    assert done < 8
+    shown = shell("show", "peak").out
+    assert "What matters" not in shown
+    assert f"Too few complete trials at full difficulty ({done}) to tell which parameters matter." in shown
+
+
 def test_the_best_setting_pasted_into_the_next_study_runs(shell, peak):
     pasted = shell("show", "peak", "--json").json["importance"]["best"]
     head, _, tail = PEAK.replace("name: peak", "name: again").partition("space:")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,7 +53,7 @@ class Levels:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class JumpSettings:
+class JumpSettings(ABC):
     """What a study may set of any jump.
 
     Args:
@@ -154,22 +155,22 @@ class JumpSettings:
             )
 
     @property
+    @abstractmethod
     def levels(self) -> Levels:
         """Its levels."""
-        raise NotImplementedError
 
     @property
     def obstacle(self) -> Callable[[float], float] | None:
         """Height of the obstacle by its width, which is the level, m; None where the level is the height of a bar."""
         return None
 
+    @abstractmethod
     def hardness(self, level: float) -> float:
         """How hard a level is, from 0 to 1."""
-        raise NotImplementedError
 
+    @abstractmethod
     def take_off(self, params: Mapping[str, Scalar]) -> TakeOff:
         """The take-off state of a candidate under these settings; parameters that it lacks are in their middle."""
-        raise NotImplementedError
 
     def new_curriculum(self) -> SuccessCurriculum | RewardCurriculum:
         """From the first level to the last."""
