@@ -209,7 +209,7 @@ def test_an_athlete_goes_through_the_stages_too(tmp_path):
 DRIVE = """
 import sys
 from pathlib import Path
-from test_stages import HOPS, Service
+from test_study_stages import HOPS, Service
 
 Service(Path(sys.argv[1]), HOPS).drive()
 """
@@ -312,8 +312,8 @@ def test_a_wrong_stage_is_one_clear_message(old, new, message):
 
 def test_novelty_needs_a_task_that_can_be_trained_for_it():
     with pytest.raises(BadStudy, match=r"novelty\.kind: expected a task that can be trained for novelty, found"):
-        parse_study(SHAPES.replace("sample_shapes:shape", "test_stages:plain"), name="s.yaml")
-    text = SHAPES.replace("sample_shapes:shape", "test_stages:plain").replace(
+        parse_study(SHAPES.replace("sample_shapes:shape", "test_study_stages:plain"), name="s.yaml")
+    text = SHAPES.replace("sample_shapes:shape", "test_study_stages:plain").replace(
         "  settings: {features: {kind: euclidean, names: [side], low: [0], high: [9], distinct: 0.5}}\n", ""
     )
     with pytest.raises(BadStudy, match="stages: expected a task with a behaviour, which tells strategies apart"):
