@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Sequence
 
-from services.errors import HalmaError
+from services.errors import HalmaError, InterruptedByUser
 
 
 def main() -> None:
-    """The command `halma`: run it and exit."""
-    sys.exit(run_command(sys.argv[1:]))
+    """The command `halma`: run it and exit. SIGTERM is the same as Ctrl-C, from the first moment to the last."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        code = run_command(sys.argv[1:])
+    except KeyboardInterrupt:  # the second one, while the first was being answered
+        code = InterruptedByUser.exit_code
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # all is said; who asks again is about to get what they want
+    sys.exit(code)
 
 
 def run_command(arguments: Sequence[str]) -> int:
@@ -32,7 +40,7 @@ def run_command(arguments: Sequence[str]) -> int:
         return ending.code if isinstance(ending.code, int) else 1
     except KeyboardInterrupt:
         sys.stderr.write("Interrupted.\n")
-        return 130
+        return InterruptedByUser.exit_code
     except BrokenPipeError:
         # Whoever read our output has gone; Python would complain once more when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
