@@ -118,7 +118,7 @@ Frame Time: 0.1
         (
             "short.txt",
             frames(lambda rows: rows[2].pop()),
-            "short.txt: frame 2: expected 44 values (duration, root, 12 joints), found 43 values; is it a clip of another",
+            "short.txt: frame 2: expected 44 values (duration, root, 12 joints), found 43 values; is it a clip of ",
         ),
         (
             "long.txt",
