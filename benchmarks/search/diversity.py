@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.search.ablations import strategy_class
 from benchmarks.search.map_sets import FLIGHTS, INTERIOR, MAPS, REPORT, TUNE, VALIDATE, WIDE
-from search import Observation, make_strategy
-from search.registry import strategy_class
+from search import Observation
 
 RESULTS = Path(__file__).parent.parent / "results"
 
@@ -43,8 +43,13 @@ ABLATIONS: dict[str, tuple[str, dict[str, Any], int]] = {
     "bds - longer start": ("bds", {"start": 2}, 1),
     "bds - spacing": ("bds", {"radius": 0.0}, 1),
     "bds - Sobol start": ("bds", {"start": 0}, 1),
+    "bds - priors": ("bds without priors", {}, 1),
+    "bds - noise": ("bds without noise", {}, 1),
+    "bds - geometry": ("bds with plain geometry", {}, 1),
+    "bds - one acquisition": ("bds alternating", {}, 1),
+    "bds, batches of 8 - belief": ("bds without belief", {}, 8),
 }
-"""The default with one repair taken away."""
+"""The default with one repair taken away; by a setting, or by a class of `benchmarks.search.ablations`."""
 
 
 SETS = {"tune": TUNE, "validate": VALIDATE, "report": REPORT, "flights": FLIGHTS, "wide": WIDE}
@@ -58,9 +63,10 @@ def run_one(
     m = MAPS[problem]
     space = m.space
     settings = dict(settings)
-    if "seed" in {f.name for f in strategy_class(strategy).info().settings}:
+    kind = strategy_class(strategy)
+    if "seed" in {f.name for f in kind.info().settings}:
         settings["seed"] = seed
-    made = make_strategy(strategy, space, features=m.features, settings=settings)
+    made = kind(space, m.features, settings)
     key = zlib.crc32(problem.encode())
     history: list[Observation] = []
     found: set[int] = set()

@@ -23,10 +23,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.search.ablations import strategy_class
 from benchmarks.search.diversity import RESULTS, interval
 from benchmarks.search.objectives import OBJECTIVES, REPORT, TUNE, Objective
-from search import Observation, make_strategy
-from search.registry import strategy_class
+from search import Observation
 from search.strategy import Strategy
 
 CONFIGS: dict[str, tuple[str, dict[str, Any], int, bool]] = {
@@ -53,8 +53,18 @@ ABLATIONS: dict[str, tuple[str, dict[str, Any], int, bool]] = {
     "cmfbo - easy phase": ("cmfbo", {"easy": 0.0}, 1, False),
     "cmfbo - share at z = 1": ("cmfbo", {"share": 0.0}, 1, False),
     "cmfbo - margin": ("cmfbo", {"margin": 1.0}, 1, False),
+    "cmfbo - trend": ("cmfbo without trend", {}, 1, False),
+    "cmfbo - priors": ("cmfbo without priors", {}, 1, False),
+    "cmfbo, published x": ("cmfbo with the published x", {}, 1, False),
+    "cmfbo, published z": ("cmfbo with the published z", {}, 1, False),
+    "cmfbo, published x, z": ("cmfbo with the published acquisition", {}, 1, False),
+    "cmfbo - reserve": ("cmfbo without reserve", {}, 1, False),
+    "cmfbo - learnt costs": ("cmfbo with prior costs", {}, 1, False),
+    "cmfbo - answer at z = 1": ("cmfbo with any answer", {}, 1, False),
+    "cmfbo, transfer, any parent": ("cmfbo with any parent", {}, 1, True),
     "cmfbo, z = 1 alone": ("cmfbo", {"easy": 0.0, "start_z": 1.0, "share": 1.0}, 1, False),
 }
+"""The default with one repair taken away; by a setting, or by a class of `benchmarks.search.ablations`."""
 GRID = (5, 10, 15, 20, 25, 30)
 BUDGET = 30.0
 
@@ -66,12 +76,13 @@ def run_one(
     o = replace(OBJECTIVES[problem], instance=seed)
     space = o.space
     settings = dict(settings)
-    names = {s.name for s in strategy_class(strategy).info().settings}
+    kind = strategy_class(strategy)
+    names = {s.name for s in kind.info().settings}
     if "seed" in names:
         settings["seed"] = seed
     if "cost_budget" in names:
         settings["cost_budget"] = BUDGET
-    made = make_strategy(strategy, space, settings=settings)
+    made = kind(space, settings=settings)
     key = zlib.crc32(problem.encode())
     history: list[Observation] = []
     paid, seconds, asks = 0.0, 0.0, 0
