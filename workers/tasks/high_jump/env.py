@@ -18,6 +18,7 @@ from workers.poses.model import PoseModel
 from workers.replay import Recorder
 from workers.tasks.high_jump import rules, takeoff
 from workers.tasks.high_jump.behaviour import Passing, behaviour_of
+from workers.tasks.high_jump.run_up import RunUp
 from workers.tasks.high_jump.takeoff import TakeOff
 
 _ACTIVATION: NDArray[np.float64] = np.array([[1 / 3], [2 / 3], [1.0]])
@@ -53,6 +54,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         joints: of the athlete.
         limits: of the body; a jump that goes beyond them fails, and earns little. None: it can do anything. A training
             should learn nothing that the audit refuses.
+        run_up: what leads to the jump; without one it begins in the take-off state itself.
         novelty: what the jump is to be unlike. Its reward is then multiplied by how new it is, and only one that would
             count as another strategy succeeds, so that the bar rises with new jumps alone.
     """
@@ -75,12 +77,14 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         landing: rules.Landing = "any",
         joints: Sequence[Joint] = JOINTS,
         limits: Limits | None = None,
+        run_up: RunUp | None = None,
         novelty: Novelty | None = None,
     ) -> None:
         self.state = state
         self.recorder = recorder
         self.world = World(mat_height, measure_torque=recorder is not None, gravity=gravity, joints=joints)
         self._limits = limits
+        self._run_up = run_up
         self._weight = float(self.world.athlete.mass.sum()) * GRAVITY
         self._novelty = novelty
         self._unused = True
@@ -125,11 +129,6 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             self.world.set_obstacle(self._obstacle(self._level), self._level)
             start = replace(start, position=start.position - np.array([self._level / 2, 0, 0]))
             self._rules = replace(self._rules, edge=self._level / 2)
-        takeoff.apply(self.world, start)
-        self.world.settle()
-        if self.state.formulation == "support":
-            self.world.stand()
-        self._target = self._start.pose
         self._elapsed = 0
         self._spin = 0.0
         self._offset = 0.0
@@ -138,10 +137,35 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         self._push = 0.0
         self._seen: list[Sequence[Any]] = []
         self._landing = False
+        if self._run_up is None:
+            takeoff.apply(self.world, start)
+            self.world.settle()
+            if self.state.formulation == "support":
+                self.world.stand()
+            self._target = self._start.pose
+            self._record_start()
+        else:
+            shift = float(start.position[0] - self._start.position[0])
+            self._run_up.begin(self.world, shift)
+            self._record_start()
+            self._run_up.play(self.world, self._see)
+            self._target = self._run_up.targets[-1]
+        return self._observation(), {}
+
+    def _record_start(self) -> None:
         if self.recorder is not None:
             self.recorder.start(self.world)
             self.recorder.add(self.world, Contacts())
-        return self._observation(), {}
+
+    def _see(self, contacts: Contacts) -> None:
+        """Note what a frame, just simulated, asked of the body."""
+        self._push = max(self._push, contacts.ground_force)
+        if self._limits is not None and not self._landing:
+            # as the audit: the frames before the mat is first touched
+            self._seen.append(self.world.athlete.seen)
+            self._landing = bool(contacts.mat)
+        if self.recorder is not None:
+            self.recorder.add(self.world, contacts)
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float64], float, bool, bool, dict[str, Any]]:
         """Pull towards the push-off pose plus `action` for one control interval, or until the jump is decided."""
@@ -157,13 +181,7 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             contacts = self.world.advance()
             self._elapsed += 1
             self._spin += self.world.athlete.spin()
-            self._push = max(self._push, contacts.ground_force)
-            if self._limits is not None and not self._landing:
-                # as the audit: the frames before the mat is first touched
-                self._seen.append(self.world.athlete.seen)
-                self._landing = bool(contacts.mat)
-            if self.recorder is not None:
-                self.recorder.add(self.world, contacts)
+            self._see(contacts)
             if self._novelty is not None and self._passing.orientation is None:
                 links = self.world.athlete.links()
                 self._passing.look(float(self.world.athlete.centre_of_mass(links)[0]), links[0, 3:7])
