@@ -39,7 +39,10 @@ class BDSSettings:
 
 
 class BayesianDiversitySearch(Strategy):
-    """Proposes what should show a behaviour unlike all known ones.
+    """Proposes what should show a behaviour unlike all known ones (after Yin et al. 2021, Algorithm 1).
+
+    The reasons are in `candidate.info`: `acquisition` and `novelty` in the unit of the metric, `feasible` in [0, 1] and
+    `predicted`, the behaviour that is expected.
 
     Repairs that no study would want to go without have no setting: `benchmarks.search.ablations` takes them away one by
     one in subclasses that override `believed` or `model`.

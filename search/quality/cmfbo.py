@@ -67,7 +67,10 @@ class CMFBOSettings:
 
 
 class CMFBO(Strategy):
-    """Curriculum multi-fidelity Bayesian optimisation.
+    """Curriculum multi-fidelity Bayesian optimisation (after Yang and Yin 2021).
+
+    Proposes `params`, a difficulty `z` (one of `LEVELS` or `start_z`; as published a tenth of 1 or a multiple) and the
+    observation to start from. With a cost budget it proposes nothing more once that is used up.
 
     Repairs that no study would want to go without have no setting. `benchmarks.search.ablations` takes them away one by
     one in subclasses: it overrides `trend`, `believed`, `reserve`, `likeness`, `_costs`, `_where` or `_how_hard`.
@@ -167,9 +170,11 @@ class CMFBO(Strategy):
             ):
                 break
             turn = len(record.asked) + len(found)
-            top_only = not informative or left < self.reserve * costs.at(1.0) or at_top < s.share * (paid - free)
+            scarce = left < self.reserve * costs.at(1.0)
+            top_only = not informative or scarce or at_top < s.share * (paid - free)
             info: dict[str, Any]
-            if turn < start:
+            # a budget too small for the start still has to bring an answer; what is small is known once costs are
+            if turn < start and not (scarce and record.cost.any()):
                 u = next_sobol(self.space, asked, 1, s.seed)[0]
                 z = s.start_z
                 info = {"mode": "start"}

@@ -124,3 +124,24 @@ def test_every_arm_of_the_benchmarks_can_be_made():
     for module in (quality, diversity):
         for name, settings, *_ in [*module.CONFIGS.values(), *module.ABLATIONS.values()]:
             assert ablations.strategy_class(name)(BOX, Features.circle(), settings).info().summary
+
+
+def test_an_arm_is_compared_with_what_it_was_taken_from():
+    configs = ["random", "cmfbo", "cmfbo, transfer"]
+    assert diversity.base_of("random", configs, "cmfbo") == "cmfbo"
+    assert diversity.base_of("cmfbo - trend", configs, "cmfbo") == "cmfbo"
+    assert diversity.base_of("cmfbo, transfer, any parent", configs, "cmfbo") == "cmfbo, transfer"
+
+
+def test_paired_differences_are_over_the_seeds_that_both_have(capsys):
+    def runs(config, values):
+        return [{"config": config, "seed": s, "problem": p, "v": v} for s, v in enumerate(values) for p in "ab"]
+
+    rows = runs("cmfbo", [1.0, 2.0, 3.0]) + runs("cmfbo - trend", [0.5, 2.5])
+    diversity.paired(rows, ["cmfbo"], "cmfbo", lambda r: [r["v"]])
+    assert "0.000 (0.500)   to cmfbo, 2 seeds" in capsys.readouterr().out
+
+
+def test_a_seed_that_lacks_a_problem_is_left_out():
+    rows = [{"config": "x", "seed": s, "problem": p} for s, p in ((0, "a"), (0, "b"), (1, "a"))]
+    assert {r["seed"] for r in diversity.whole_seeds(rows, ["a", "b"])} == {0}

@@ -249,10 +249,13 @@ class World:
 
     def _look(self, seen: Contacts, dt: float, share: float) -> None:
         """Add the contacts of the step just made to those `seen` in its frame."""
-        force = 0.0
         self._since_ground += dt
         body = self.athlete.body
-        for point in bullet.getContactPoints(body, **self._k):
+        points = bullet.getContactPoints(body, **self._k)
+        if not points:
+            return
+        force = 0.0
+        for point in points:
             distance = point[8]
             if distance > _TOUCH:
                 continue

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.novelty import Novelty
-from workers.physics.athlete import COORDINATES, JOINTS, Joint
+from workers.physics.athlete import COORDINATES, JOINTS, Joint, poses_of
+from workers.physics.limits import Limits, Strain
 from workers.physics.world import FRAME, GRAVITY, Contacts, World
 from workers.poses.model import PoseModel
 from workers.replay import Recorder
@@ -19,9 +20,9 @@ from workers.tasks.high_jump import rules, takeoff
 from workers.tasks.high_jump.behaviour import Passing, behaviour_of
 from workers.tasks.high_jump.takeoff import TakeOff
 
-_ACTIVATION_FRAMES = 3
-"""Frames (25 ms) in which a new target takes over from the old one. Muscles take as long to become active, and torques
-that jump let the foot strike the ground with more than 6 body weights."""
+_ACTIVATION: NDArray[np.float64] = np.array([[1 / 3], [2 / 3], [1.0]])
+"""Share of a new target in the first frames (25 ms), in which it takes over from the old one. Muscles take as long to
+become active, and torques that jump let the foot strike the ground with more than 6 body weights."""
 
 
 class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
@@ -50,8 +51,8 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         gravity: m/s^2.
         landing: on which part the athlete may land, `any` or `feet`.
         joints: of the athlete.
-        push_limit: what the foot may push with, times the body's weight; a jump that pushes harder fails, and earns
-            little. None: anything. A training should learn nothing that the audit refuses.
+        limits: of the body; a jump that goes beyond them fails, and earns little. None: it can do anything. A training
+            should learn nothing that the audit refuses.
         novelty: what the jump is to be unlike. Its reward is then multiplied by how new it is, and only one that would
             count as another strategy succeeds, so that the bar rises with new jumps alone.
     """
@@ -73,13 +74,14 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         gravity: float = GRAVITY,
         landing: rules.Landing = "any",
         joints: Sequence[Joint] = JOINTS,
-        push_limit: float | None = None,
+        limits: Limits | None = None,
         novelty: Novelty | None = None,
     ) -> None:
         self.state = state
         self.recorder = recorder
         self.world = World(mat_height, measure_torque=recorder is not None, gravity=gravity, joints=joints)
-        self._push_limit = np.inf if push_limit is None else push_limit * float(self.world.athlete.mass.sum()) * GRAVITY
+        self._limits = limits
+        self._weight = float(self.world.athlete.mass.sum()) * GRAVITY
         self._novelty = novelty
         self._unused = True
         self._rates = (control_rate, control_rate if hard_rate is None else hard_rate)
@@ -134,6 +136,8 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         self._actions = 0
         self._passing = Passing()
         self._push = 0.0
+        self._seen: list[Sequence[Any]] = []
+        self._landing = False
         if self.recorder is not None:
             self.recorder.start(self.world)
             self.recorder.add(self.world, Contacts())
@@ -146,13 +150,18 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         self._offset += float(np.abs(offset).sum())
         self._actions += 1
         verdict = None
-        for frame in range(1, self._frames + 1):
-            if frame <= _ACTIVATION_FRAMES:
-                self.world.athlete.command(before + (target - before) * (frame / _ACTIVATION_FRAMES))
+        commands = self.world.athlete.commands(before + (target - before) * _ACTIVATION)
+        for frame in range(self._frames):
+            if frame < len(commands):
+                self.world.athlete.follow(commands[frame])
             contacts = self.world.advance()
             self._elapsed += 1
             self._spin += self.world.athlete.spin()
             self._push = max(self._push, contacts.ground_force)
+            if self._limits is not None and not self._landing:
+                # as the audit: the frames before the mat is first touched
+                self._seen.append(self.world.athlete.seen)
+                self._landing = bool(contacts.mat)
             if self.recorder is not None:
                 self.recorder.add(self.world, contacts)
             if self._novelty is not None and self._passing.orientation is None:
@@ -177,9 +186,14 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         )
         metrics = {f"end_{name}": float(verdict == name) for name in ("wall", "ground", "time", "fall")}
         success = landed
-        if self._push > self._push_limit:
-            reward, success = reward * rules.HARD_PUSH, False
-        metrics["hard_push"] = float(self._push > self._push_limit)
+        strain = self._strain()
+        metrics |= {
+            "hard_push": float(strain.push > 1),
+            "fast_joint": float(strain.rate > 1),
+            "bent_joint": float(strain.angle > 1),
+        }
+        if not strain.worst <= 1:
+            reward, success = reward * rules.BEYOND, False
         if landed and self._novelty is not None and self._passing.orientation is not None:
             found = behaviour_of(self._passing.orientation, self._novelty.spec)
             metrics["novelty"] = self._novelty.factor(found)
@@ -187,11 +201,17 @@ class HighJumpEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             success = success and self._novelty.is_new(found)
         return observation, reward, True, False, {"success": success, "verdict": verdict, "metrics": metrics}
 
+    def _strain(self) -> Strain:
+        """What this jump asked of the body, over what it may."""
+        if self._limits is None:
+            return Strain(0.0, 0.0, 0.0)
+        return self._limits.strain(self._push / self._weight, poses_of(self._seen), FRAME, self.world.joints)
+
     def _rear(self) -> float:
         """Lowest x of what must have got over, m: see `Rules.verdict`."""
         athlete = self.world.athlete
         if self._obstacle is None:
-            return float(athlete.bounds()[0][0])
+            return athlete.rear()
         return float(athlete.centre_of_mass(athlete.links())[0])
 
     def _aim(self, action: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -27,8 +27,6 @@ _FORMULATION = Rule("str", choices=("support", "flight"))
 _FEATURE = Rule("str", choices=("facing", "rotation"))
 _CURRICULUM = Rule("str", choices=("success", "reward"))
 _CAST = Rule("str", choices=("none", "take_off", "swing"))
-_MOST = {"rad": 3.2, "rad/s": 15.0, "m/s": 8.0}
-"""Largest amounts of a take-off state, by their units."""
 Actions = Literal["offset", "pose"]
 CurriculumName = Literal["success", "reward"]
 
@@ -211,18 +209,18 @@ class JumpSettings(ABC):
     def values_of(cls, params: Mapping[str, Scalar]) -> dict[str, float]:
         """All parameters of a candidate; those that it lacks are in the middle of their range.
 
-        Raises `BadSetting` for one that no athlete takes off with. The ranges of `parameters` are where a search looks
-        by default, and no such limits: a published take-off state lies outside of them.
+        Raises `BadSetting` for one that no athlete takes off with (`least` and `most` of `parameters`; `low` and `high`
+        are where a search looks by default: a published take-off state lies outside of them).
         """
         values = {
             name: float(params.get(name, (float(spec.low or 0) + float(spec.high or 0)) / 2))
             for name, spec in cls.parameters.items()
         }
         for name, value in values.items():
-            most = _MOST[cls.parameters[name].unit]
-            if not abs(value) <= most:
-                unit = cls.parameters[name].unit
-                raise BadSetting("space", name, f"expected from {-most:g} to {most:g} {unit}, found {value:g}")
+            spec = cls.parameters[name]
+            if not float(spec.least or 0) <= value <= float(spec.most or 0):
+                message = f"expected from {spec.least:g} to {spec.most:g} {spec.unit}, found {value:g}"
+                raise BadSetting("space", name, message)
         return values
 
 

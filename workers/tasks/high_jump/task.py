@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 
-from workers.audit import PUSH, Audit, audit
+from workers.audit import Audit, audit
 from workers.contracts import JSON, BadJob, Context, Job, Outcome, TaskInfo
 from workers.learning.policy import Policy, note_of, with_note
 from workers.learning.ppo import POLICY_ARTIFACT, train
@@ -20,6 +20,7 @@ from workers.learning.problem import Curriculum, Diverged, Trained
 from workers.learning.rollout import play
 from workers.learning.settings import TrainingSettings
 from workers.novelty import Novelty
+from workers.physics.limits import HUMAN, Limits
 from workers.physics.rendering import render_frame
 from workers.replay import Recorder, Replay
 from workers.tasks.high_jump import behaviour, takeoff
@@ -31,7 +32,7 @@ from workers.tasks.high_jump.settings import TRAINING, HighJumpSettings, Obstacl
 REPLAY_ARTIFACT = "replay.bin"
 POSE_ARTIFACT = "pose.png"
 _MARGIN = 0.97
-"""Of what the audit lets the foot push with: a training keeps that much away from it."""
+"""Of what the audit lets a body do: a training keeps that much away from it."""
 _BACK = 0.1
 """m below the bar that a policy clears: with noise, where it goes on learning, it clears no more."""
 _REACH = 0.4
@@ -56,10 +57,10 @@ class JumpProblem:
 
     def make_env(self) -> gymnasium.Env[Any, Any]:
         """A new environment to train in."""
-        return self.env(None, push_limit=_MARGIN * PUSH, novelty=self.novelty)
+        return self.env(None, limits=HUMAN.times(_MARGIN), novelty=self.novelty)
 
     def env(
-        self, recorder: Recorder | None, *, push_limit: float | None = None, novelty: Novelty | None = None
+        self, recorder: Recorder | None, *, limits: Limits | None = None, novelty: Novelty | None = None
     ) -> HighJumpEnv:
         """A new environment that tells a recorder."""
         s = self.settings
@@ -76,7 +77,7 @@ class JumpProblem:
             gravity=s.gravity,
             landing=s.landing,
             joints=s.joints(),
-            push_limit=push_limit,
+            limits=limits,
             novelty=novelty,
         )
 
