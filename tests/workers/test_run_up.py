@@ -7,6 +7,7 @@ from workers.audit import audit
 from workers.contracts import BadSetting
 from workers.physics import clips, rotations
 from workers.physics.athlete import JOINTS
+from workers.physics.limits import HUMAN
 from workers.physics.world import FRAME, World
 from workers.replay import Recorder
 from workers.tasks.high_jump import takeoff
@@ -16,7 +17,7 @@ from workers.tasks.high_jump.settings import HighJumpSettings, ObstacleJumpSetti
 
 SIDE = {"alpha": 0.70, "omega_x": -1.44, "omega_z": 0.44, "v_z": -1.99}
 STATE = HighJumpSettings().take_off(SIDE)
-SMALL = {"seconds": 0.3, "candidates": 60, "kept": 10}
+SMALL = {"seconds": 0.3, "candidates": 200, "kept": 20}
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,7 @@ def test_the_reference_comes_from_where_the_approach_comes_from_at_its_speed(sta
 def test_a_run_up_follows_its_reference_and_one_that_only_repeats_the_clip_does_not(run_up):
     found = arrival(run_up, STATE, JOINTS)
     without = arrival(run_up_to(STATE, JOINTS, seconds=0.3, candidates=1, kept=1), STATE, JOINTS)
-    assert found.velocity < without.velocity
+    assert found.velocity < 0.75 * without.velocity
     assert found.place < 0.3
 
 
@@ -104,6 +105,20 @@ def test_a_jump_after_a_run_up_begins_alike_in_a_used_world_and_in_a_new_one(run
     again, _ = env.reset(options={"level": 0.3, "fresh": True})
     env.close()
     assert first.tobytes() == again.tobytes()
+
+
+def test_a_rehearsed_jump_begins_where_the_run_up_ends(run_up):
+    both = [HighJumpEnv(STATE, run_up=run_up, rehearse=rehearse, limits=HUMAN) for rehearse in (False, True)]
+    first, rehearsed = (env.reset(options={"level": 0.3, "fresh": True})[0] for env in both)
+    assert rehearsed == pytest.approx(first, abs=1e-6)
+    # and what the run-up asked of the body counts in both
+    strains = [env._strain() for env in both]
+    assert strains[0].rate > 0.1
+    assert strains[1].worst == pytest.approx(strains[0].worst, rel=1e-6)
+    again, _ = both[1].reset(options={"level": 0.3, "fresh": True})
+    assert again.tobytes() == rehearsed.tobytes()
+    for env in both:
+        env.close()
 
 
 def test_an_obstacle_is_run_up_to_from_where_it_is_wide(run_up):

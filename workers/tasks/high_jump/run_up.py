@@ -25,7 +25,15 @@ from workers.physics.clips import Clip
 from workers.physics.limits import HUMAN
 from workers.physics.rotations import Array
 from workers.physics.world import FRAME, GRAVITY, Contacts, World
-from workers.tasks.high_jump.takeoff import MID_SUPPORT_FRAME, RUN, StartState, TakeOff, apply, start_state
+from workers.tasks.high_jump.takeoff import (
+    MID_SUPPORT_FRAME,
+    RUN,
+    TAKE_OFF_FOOT,
+    StartState,
+    TakeOff,
+    apply,
+    start_state,
+)
 from workers.tasks.imitation.reference import ENDS, Moment, Reference
 
 SECONDS = 0.6
@@ -84,7 +92,7 @@ class RunUp:
         """Put the world's athlete where the run-up begins, `shift` m further along x."""
         _begin(world, replace(self.start, position=self.start.position + np.array([shift, 0.0, 0.0])))
 
-    def play(self, world: World, look: Callable[[Contacts], None] | None = None) -> None:
+    def play(self, world: World, look: Callable[[Contacts], None] = lambda _: None) -> None:
         """Run, in a world in which it has begun; `look` is told the contacts of each frame."""
         before = self.start.pose
         for target in self.targets:
@@ -104,18 +112,13 @@ def _begin(world: World, start: StartState) -> None:
     world.athlete.command(start.pose)
 
 
-def _pull(world: World, before: Array, target: Array, look: Callable[[Contacts], None] | None) -> float:
-    """One window towards a target; the strongest push of the ground in it, N."""
+def _pull(world: World, before: Array, target: Array, look: Callable[[Contacts], None]) -> None:
+    """One window towards a target; `look` is told the contacts of each frame."""
     commands = world.athlete.commands(before + (target - before) * _ACTIVATION)
-    push = 0.0
     for frame in range(WINDOW):
         if frame < len(commands):
             world.athlete.follow(commands[frame])
-        contacts = world.advance()
-        push = max(push, contacts.ground_force)
-        if look is not None:
-            look(contacts)
-    return push
+        look(world.advance())
 
 
 @functools.lru_cache(maxsize=16)
@@ -146,21 +149,55 @@ def run_up_to(
         world.close()
 
 
+@dataclass(frozen=True, slots=True)
+class End:
+    """What a run-up ends in.
+
+    Args:
+        state: of the athlete.
+        since_ground: see `World.since_ground`.
+        push: strongest of the ground on the way, N.
+        seen: see `Athlete.seen`, of each frame.
+    """
+
+    state: StartState
+    since_ground: float
+    push: float
+    seen: tuple[Sequence[Any], ...]
+
+    def apply(self, world: World, shift: float = 0.0) -> None:
+        """Put the world's athlete there, `shift` m further along x: a rehearsal, without running up each time."""
+        apply(world, replace(self.state, position=self.state.position + np.array([shift, 0.0, 0.0])))
+        world.resume(self.since_ground)
+
+
+def end_of(run_up: RunUp, world: World) -> End:
+    """What the run-up ends in, in a world as it is."""
+    push: list[float] = []
+    seen: list[Sequence[Any]] = []
+
+    def look(contacts: Contacts) -> None:
+        push.append(contacts.ground_force)
+        seen.append(world.athlete.seen)
+
+    run_up.begin(world)
+    run_up.play(world, look)
+    return End(_now(world), world.since_ground, max(push), tuple(seen))
+
+
 def arrival(run_up: RunUp, state: TakeOff, joints: tuple[Joint, ...], gravity: float = GRAVITY) -> Arrival:
     """How near the run-up gets to its take-off state, in a new world."""
     world = World(gravity=gravity, joints=joints)
     try:
         wanted = start_state(world, state)
         world.rebuild()
-        run_up.begin(world)
-        run_up.play(world)
-        root, (pose, _) = world.athlete.links()[0], world.athlete.pose()
+        found = end_of(run_up, world).state
         return Arrival(
-            velocity=float(np.linalg.norm(root[7:10] - wanted.velocity)),
-            spin=float(np.linalg.norm(root[10:13] - wanted.angular_velocity)),
-            turn=float(rotations.angle_between(root[3:7], wanted.orientation)),
-            place=float(np.linalg.norm(root[:3] - wanted.position)),
-            joints=float(np.sqrt(np.mean((pose - wanted.pose) ** 2))),
+            velocity=float(np.linalg.norm(found.velocity - wanted.velocity)),
+            spin=float(np.linalg.norm(found.angular_velocity - wanted.angular_velocity)),
+            turn=float(rotations.angle_between(found.orientation, wanted.orientation)),
+            place=float(np.linalg.norm(found.position - wanted.position)),
+            joints=float(np.sqrt(np.mean((found.pose - wanted.pose) ** 2))),
         )
     finally:
         world.close()
@@ -185,6 +222,8 @@ def _sampled(world: World, reference: Reference, windows: int, candidates: int, 
     start = replace(start, position=start.position + np.array([0.0, sunk, 0.0]))
     beam = [_Tried(0.0, start, np.inf, (), start.pose)]
     ends = [world.athlete.names.index(name) for name in ENDS]
+    weight = float(world.athlete.mass.sum()) * GRAVITY
+    foot, other = world.athlete.link[TAKE_OFF_FOOT], world.athlete.link["left_ankle"]
     for window in range(1, windows + 1):
         moment = reference.at(window * WINDOW * FRAME)
         tried = []
@@ -198,12 +237,16 @@ def _sampled(world: World, reference: Reference, windows: int, candidates: int, 
             target = moment.pose + correction
             apply(world, parent.state)
             world.resume(parent.since_ground)
-            push = _pull(world, parent.target, target, None)
-            cost = _distance(world, moment, ends, last=window == windows)
-            cost += 0.002 * float(correction @ correction)
+            seen: list[Contacts] = []
+            _pull(world, parent.target, target, seen.append)
+            last = window == windows
+            cost = _distance(world, moment, ends, last=last) + 0.002 * float(correction @ correction)
             # in body weights; a foot that strikes too hard is no run-up that the audit would believe
-            weight = float(world.athlete.mass.sum()) * GRAVITY
-            cost += 5.0 * max(0.0, push / weight - _PUSH * HUMAN.push) ** 2
+            push = max(contacts.ground_force for contacts in seen) / weight
+            cost += 5.0 * max(0.0, push - _PUSH * HUMAN.push) ** 2
+            # a jump in which anything but the take-off foot touches the ground has failed
+            if seen[-1].ground - ({foot} if last else {foot, other}):
+                cost += 20.0
             tried.append(_Tried(cost, _now(world), world.since_ground, (*parent.corrections, correction), target))
         tried.sort(key=lambda each: each.cost)
         beam = tried[:kept]
@@ -239,6 +282,7 @@ def _distance(world: World, moment: Moment, ends: Sequence[int], *, last: bool) 
         + (6.0 if last else 4.0) * float(velocity @ velocity)
         + (0.15 if last else 0.03) * float(spin @ spin)
         + 10.0 * float(place @ place)
+        + 30.0 * float(place[1]) ** 2
         + 4.0 * float((limbs * limbs).sum())
         + 0.0005 * float(slower @ slower)
     )

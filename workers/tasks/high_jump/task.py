@@ -58,10 +58,15 @@ class JumpProblem:
 
     def make_env(self) -> gymnasium.Env[Any, Any]:
         """A new environment to train in."""
-        return self.env(None, limits=HUMAN.times(_MARGIN), novelty=self.novelty)
+        return self.env(None, limits=HUMAN.times(_MARGIN), novelty=self.novelty, rehearse=True)
 
     def env(
-        self, recorder: Recorder | None, *, limits: Limits | None = None, novelty: Novelty | None = None
+        self,
+        recorder: Recorder | None,
+        *,
+        limits: Limits | None = None,
+        novelty: Novelty | None = None,
+        rehearse: bool = False,
     ) -> HighJumpEnv:
         """A new environment that tells a recorder."""
         s = self.settings
@@ -80,6 +85,7 @@ class JumpProblem:
             joints=s.joints(),
             limits=limits,
             run_up=self.run_up(),
+            rehearse=rehearse,
             novelty=novelty,
         )
 
