@@ -7,7 +7,7 @@
   start and end. A viewer asks for what a page was seen to ask for when it was opened (all of them at the same time,
   before the CPU is measured; the memory after it counts), then listens at a socket and makes the requests that one
   open page was seen to make by itself in a minute. Requests noted later, when the same browser was led to
-  tables and replays, are no part of it: until November 2026 they were, four of five of all. With optuna-dashboard a
+  tables and replays, are no part of it: until November 2026 they were, nine of ten. With optuna-dashboard a
   viewer is the poll that its page makes every ten seconds;
 - `table of 50,000`: seconds until it is there, and frames a second while it scrolls, beside a table of 300;
 - `replay`: data frames drawn a second while a recorded jump plays.
