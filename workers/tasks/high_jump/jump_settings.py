@@ -76,6 +76,7 @@ class JumpSettings(ABC):
         take_off_leg: torque of the take-off leg's hip, knee and ankle over the usual one.
         spine: `free`, or `stiff`: it doesn't bend back.
         cast: which leg's knee is in a cast that keeps it all but straight: `none`, `take_off` or `swing`.
+        run_up: whether the athlete runs up to the take-off state, and jumps from where that arrives; `support` only.
         poses: file of the pose model, of `halma poses train`; None: the model of the packaged clips.
     """
 
@@ -107,6 +108,7 @@ class JumpSettings(ABC):
     cast: Cast = dataclasses.field(
         default="none", metadata={"rule": Rule("str", choices=("none", "take_off", "swing"))}
     )
+    run_up: bool = setting(False, Rule("bool"))
     poses: str | None = setting(None, Rule("path", optional=True))
 
     @classmethod
@@ -129,6 +131,10 @@ class JumpSettings(ABC):
                 SECTION,
                 "control_rate_hard",
                 f"expected at least control_rate, which is {self.control_rate}, found {self.control_rate_hard}",
+            )
+        if self.run_up and self.formulation != "support":
+            raise BadSetting(
+                SECTION, "run_up", "expected none with formulation: flight, which begins after it; write support"
             )
         if self.poses is not None and self.actions != "pose":
             raise BadSetting(SECTION, "poses", "expected none with actions: offset, found one; write actions: pose")

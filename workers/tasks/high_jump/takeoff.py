@@ -27,8 +27,8 @@ OMEGA_Y = 3.0
 """rad/s; hardly differs between published strategies."""
 TAKE_OFF_FOOT = "right_ankle"
 _STANCE_LEG = ("right_hip", "right_knee", "right_ankle")
-_CLIP = "run"
-_MID_SUPPORT_FRAME = 1
+RUN = "run"
+MID_SUPPORT_FRAME = 1
 _TOE_OFF_FRAME = 4
 _BENT = -0.7
 """rad that the knee of the stance leg is bent by at the start."""
@@ -125,9 +125,9 @@ class StartState:
 
 def start_state(world: World, state: TakeOff) -> StartState:
     """The athlete at take-off, standing on the ground or just above it. Leaves `world` in that state."""
-    clip = clips.load(_CLIP)
+    clip = clips.load(RUN)
     support = state.formulation == "support"
-    frame = _MID_SUPPORT_FRAME if support else _TOE_OFF_FRAME
+    frame = MID_SUPPORT_FRAME if support else _TOE_OFF_FRAME
     pose = clip.pose[frame].copy()
     rates = np.zeros(COORDINATES)
     lean = 0.0
@@ -188,7 +188,7 @@ def _plant(pose: Array, knee: float) -> float:
 
 def natural_pose() -> Array:
     """The captured pose at mid-support ``[28]``."""
-    pose: Array = clips.load(_CLIP).pose[_MID_SUPPORT_FRAME].copy()
+    pose: Array = clips.load(RUN).pose[MID_SUPPORT_FRAME].copy()
     return pose
 
 

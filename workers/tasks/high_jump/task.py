@@ -6,7 +6,7 @@ The level of a jump is the height of its bar, or the width of its obstacle, m.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar
 
 import gymnasium
@@ -27,6 +27,7 @@ from workers.tasks.high_jump import behaviour, takeoff
 from workers.tasks.high_jump.env import HighJumpEnv
 from workers.tasks.high_jump.jump_settings import JumpSettings
 from workers.tasks.high_jump.naming import name_jump
+from workers.tasks.high_jump.run_up import RunUp, arrival, run_up_to
 from workers.tasks.high_jump.settings import TRAINING, HighJumpSettings, ObstacleJumpSettings
 
 REPLAY_ARTIFACT = "replay.bin"
@@ -57,10 +58,15 @@ class JumpProblem:
 
     def make_env(self) -> gymnasium.Env[Any, Any]:
         """A new environment to train in."""
-        return self.env(None, limits=HUMAN.times(_MARGIN), novelty=self.novelty)
+        return self.env(None, limits=HUMAN.times(_MARGIN), novelty=self.novelty, rehearse=True)
 
     def env(
-        self, recorder: Recorder | None, *, limits: Limits | None = None, novelty: Novelty | None = None
+        self,
+        recorder: Recorder | None,
+        *,
+        limits: Limits | None = None,
+        novelty: Novelty | None = None,
+        rehearse: bool = False,
     ) -> HighJumpEnv:
         """A new environment that tells a recorder."""
         s = self.settings
@@ -78,8 +84,14 @@ class JumpProblem:
             landing=s.landing,
             joints=s.joints(),
             limits=limits,
+            run_up=self.run_up(),
+            rehearse=rehearse,
             novelty=novelty,
         )
+
+    def run_up(self) -> RunUp | None:
+        """What leads to the take-off state, or None where the jump begins in it."""
+        return run_up_to(self.state, self.settings.joints(), self.settings.gravity) if self.settings.run_up else None
 
     def curriculum(self) -> Curriculum:
         """The levels, from the first to the one that ends the training.
@@ -296,8 +308,18 @@ def _common(problem: JumpProblem, trained: Trained) -> dict[str, JSON]:
         "distance": problem.state.distance,
         "policy_sha256": trained.policy.sha256(),
         **problem.settings.poses_used(),
+        **_arrival(problem),
         **trained.lineage,
     }
+
+
+def _arrival(problem: JumpProblem) -> dict[str, JSON]:
+    """As details of an outcome: how far from the take-off state the run-up ends."""
+    run_up = problem.run_up()
+    if run_up is None:
+        return {}
+    missed = arrival(run_up, problem.state, problem.settings.joints(), problem.settings.gravity)
+    return {"run_up": {"seconds": run_up.seconds, **asdict(missed)}}
 
 
 def _infeasible(problem: JumpProblem, trained: Trained, refused: Jump | None, name: str) -> Outcome:
