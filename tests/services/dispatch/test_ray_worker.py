@@ -1,5 +1,6 @@
 """What runs in a worker process, without Ray: its outbox, and the change from one attempt to the next."""
 
+import sys
 import threading
 
 import pytest
@@ -76,6 +77,7 @@ def test_an_attempt_that_ends_while_the_next_one_begins_leaves_it_to_be_stopped(
         def stop(self):
             stopped.append(self.assignment.attempt)
 
+    monkeypatch.setattr(sys, "path", list(sys.path))  # a worker puts the submitter's folder in front
     monkeypatch.setattr(ray_workers, "Attempt", Attempt)
     monkeypatch.setattr(ray_workers, "artifacts_here", lambda *_: None)
     worker = Worker("", "", None, None, ".", mailbox)
