@@ -64,7 +64,7 @@ def submit(request: Request, service: Uses, study: str = "") -> Response:
     """Paste or upload a study file; with `study`, one like it."""
     text = ""
     if study:
-        row = service.store.study(study)
+        row = service.studies.study(study)
         text = as_yaml(row, f"{row.name}-2")
     return page(request, "submit.html", text=text, can_submit=service.submit is not None, examples=EXAMPLES)
 
@@ -97,7 +97,7 @@ def given(value: Any) -> Any:
 def study_view(request: Request, service: Service, name: str, view: str) -> Response:
     """One of the views of a study."""
     data = position(service)
-    row = service.store.study(name)
+    row = service.studies.study(name)
     data["study"] = StudyOut.of(row)
     data["view"] = view
     data["value"] = value_data(service, row)
@@ -159,7 +159,7 @@ def study_file(request: Request, service: Uses, study: Study) -> Response:
 def trial(request: Request, service: Uses, study: Study, number: Number) -> Response:
     """One trial."""
     data = position(service)
-    row = service.store.study(study)
+    row = service.studies.study(study)
     one = service.store.trial(row.id, number)
     artifacts = service.store.artifacts(one.id)
     names = {artifact.name for artifact in artifacts}

@@ -1,6 +1,6 @@
 """What shall we try next? Spaces, surrogates and strategies; nothing of Ray, databases, files or physics."""
 
-from search.distinct import Cluster, distinct
+from search.distinct import Cluster, cluster_joined, distinct
 from search.errors import (
     BadCount,
     BadFeatures,
@@ -41,6 +41,7 @@ __all__ = [
     "Strategy",
     "StrategyInfo",
     "UnknownStrategy",
+    "cluster_joined",
     "distinct",
     "make_strategy",
     "strategies",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -72,3 +73,44 @@ def distinct(
         free &= ~mine
         clusters.append(Cluster(int(leader), tuple(int(i) for i in np.flatnonzero(mine))))
     return clusters
+
+
+def cluster_joined(
+    features: Any,
+    value: float,
+    leaders: Sequence[Any],
+    leading: Sequence[float],
+    metric: Features,
+    threshold: float,
+) -> int | None:
+    """Which cluster of `distinct` one more outcome joins, where it changes no other: most of them do.
+
+    Whoever is no representative takes nobody from anybody. So an outcome that comes after the first representative
+    within `threshold` joins it, and the rest stands; any other is a representative itself, and what lies around it
+    may become its own.
+
+    Args:
+        features: ``d``, its behaviour.
+        value: its value; NaN counts as the lowest.
+        leaders: ``k x d``, the behaviours of the representatives, in the order of `distinct`.
+        leading: ``k``, their values.
+        metric: the feature space.
+        threshold: in the metric's unit.
+
+    Returns:
+        Place of the cluster; None where all have to be grouped anew.
+
+    Raises:
+        BadFeatures: features that are none.
+    """
+    mine = metric.check(features)
+
+    def place(worth: float, at: NDArray[np.float64]) -> tuple[float, ...]:
+        return (math.inf if math.isnan(worth) else -worth, *at.tolist())
+
+    for index, (leader, worth) in enumerate(zip(leaders, leading, strict=True)):
+        other = metric.check(leader)
+        if float(metric.distance(mine, other)) <= threshold:
+            # of equal ones the earlier comes first, and this one is the last of all
+            return index if place(worth, other) <= place(value, mine) else None
+    return None

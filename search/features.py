@@ -55,7 +55,16 @@ class Features:
 
     @classmethod
     def euclidean(cls, d: int, low: float | Sequence[float] = 0.0, high: float | Sequence[float] = 1.0) -> Features:
-        """Vectors of length `d` under the Euclidean distance in natural units; one range or one a coordinate."""
+        """Vectors under the Euclidean distance in natural units.
+
+        Args:
+            d: how many coordinates, at least 1.
+            low: lower end of what is expected, for all coordinates or for each; behaviours may lie beyond.
+            high: upper end, likewise; above `low`.
+
+        Raises:
+            BadFeatures: no whole number of coordinates above 0, other than `d` bounds, bounds reversed or not finite.
+        """
         if isinstance(d, bool) or not isinstance(d, int) or d < 1:
             raise BadFeatures(f"Features.euclidean: expected d >= 1, found {d!r}")
         return cls("euclidean", d, _bounds(low, d, "low"), _bounds(high, d, "high"))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sqlite3
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any
 
 import optuna
+from optuna.storages._rdb import models
 
 from search.errors import SearchError
 from search.space import Angle, Categorical, Int, Space
@@ -67,6 +69,10 @@ def distributions(space: Space) -> dict[str, optuna.distributions.BaseDistributi
     return found
 
 
+AT_A_TIME = 1000
+"""Trials that are written by one statement."""
+
+
 class _Quick(sqlite3.Connection):
     """A connection to a file that nobody reads before it is whole: a power cut may take it, so it waits for no disk."""
 
@@ -103,7 +109,10 @@ def export(
         for key, value in (attributes or {}).items():
             study.set_user_attr(key, value)
         known = distributions(space)
-        study.add_trials([_frozen(trial, known) for trial in trials])
+        with opened.engine.begin() as connection:
+            for start in range(0, len(trials), AT_A_TIME):
+                frozen = [_frozen(trial, known) for trial in trials[start : start + AT_A_TIME]]
+                _insert(connection, study._study_id, start, frozen)
     except optuna.exceptions.DuplicatedStudyError:
         raise ExportRefused(f"expected no Optuna study {name} in {storage}, found one; give another file") from None
     except optuna.exceptions.StorageInternalError as error:
@@ -113,6 +122,73 @@ def export(
         opened.engine.dispose()
         optuna.logging.set_verbosity(verbosity)
     return len(trials)
+
+
+def _insert(connection: Any, study: int, start: int, trials: Sequence[optuna.trial.FrozenTrial]) -> None:
+    """Write trials as `Study.add_trials` would, in one statement a table.
+
+    `add_trials` reads each trial back for every attribute, parameter and value that it sets, and counts all trials
+    before it: 37 ms a trial. What stands in each column is Optuna's own business, so its own tables, converters and
+    distributions are used, and a test compares every cell with what `add_trials` writes.
+
+    Args:
+        connection: to the storage, in a transaction.
+        study: its id there.
+        start: number of the first one; the study has all before it.
+        trials: validated.
+    """
+    numbered = list(enumerate(trials, start))
+    made = connection.execute(
+        models.TrialModel.__table__.insert().returning(models.TrialModel.trial_id, sort_by_parameter_order=True),
+        [
+            {
+                "number": number,
+                "study_id": study,
+                "state": trial.state,
+                "datetime_start": _utc(trial.datetime_start),
+                "datetime_complete": _utc(trial.datetime_complete),
+            }
+            for number, trial in numbered
+        ],
+    )
+    ids = list(made.scalars())
+    rows: dict[Any, list[dict[str, Any]]] = {
+        models.TrialValueModel: [],
+        models.TrialParamModel: [],
+        models.TrialUserAttributeModel: [],
+        models.TrialIntermediateValueModel: [],
+    }
+    for id_, trial in zip(ids, trials, strict=True):
+        if trial.value is not None:
+            value, kind = models.TrialValueModel.value_to_stored_repr(trial.value)
+            rows[models.TrialValueModel].append({"trial_id": id_, "objective": 0, "value": value, "value_type": kind})
+        for name, given in trial.params.items():
+            distribution = trial.distributions[name]
+            rows[models.TrialParamModel].append(
+                {
+                    "trial_id": id_,
+                    "param_name": name,
+                    "param_value": distribution.to_internal_repr(given),
+                    "distribution_json": optuna.distributions.distribution_to_json(distribution),
+                }
+            )
+        for key, attribute in trial.user_attrs.items():
+            rows[models.TrialUserAttributeModel].append(
+                {"trial_id": id_, "key": key, "value_json": json.dumps(attribute)}
+            )
+        for step, reported in trial.intermediate_values.items():
+            seen, sort = models.TrialIntermediateValueModel.intermediate_value_to_stored_repr(reported)
+            rows[models.TrialIntermediateValueModel].append(
+                {"trial_id": id_, "step": step, "intermediate_value": seen, "intermediate_value_type": sort}
+            )
+    for model, each in rows.items():
+        if each:
+            connection.execute(model.__table__.insert(), each)
+
+
+def _utc(at: datetime | None) -> datetime | None:
+    """A local time without a zone as the storage keeps it: in UTC, without a zone."""
+    return None if at is None else at.astimezone(UTC).replace(tzinfo=None)
 
 
 def _frozen(trial: Trial, known: Mapping[str, optuna.distributions.BaseDistribution]) -> optuna.trial.FrozenTrial:

@@ -21,7 +21,7 @@ from optuna.search_space import IntersectionSearchSpace
 from optuna.study import Study, StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
-from search.errors import BadFeatures
+from search.errors import BadFeatures, SearchError
 from search.features import Features
 from search.record import Candidate, Observation
 from search.registry import make_strategy
@@ -104,7 +104,12 @@ class StrategySampler(BaseSampler):
     def sample_relative(
         self, study: Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
-        """One candidate of the strategy."""
+        """One candidate of the strategy.
+
+        Raises:
+            ValueError: the study has several objectives.
+            SearchError: a trial that can't be learnt from; nothing more to propose, since a budget is used up.
+        """
         self._refuse_many_objectives(study)
         if not search_space:
             return {}
@@ -119,8 +124,13 @@ class StrategySampler(BaseSampler):
                 history.append(self._observation(study, t, candidate))
             else:
                 pending.append(candidate)
-        (found,) = made.propose(history, pending, 1, self._rng)
-        return {name: _to_theirs(d, found.params[name]) for name, d in search_space.items()}
+        found = made.propose(history, pending, 1, self._rng)
+        if not found:
+            raise SearchError(
+                f"{self._strategy}: expected something more to propose after {len(history)} trials, found its budget "
+                "used up; raise it, or give study.optimize fewer trials"
+            )
+        return {name: _to_theirs(d, found[0].params[name]) for name, d in search_space.items()}
 
     def _refuse_many_objectives(self, study: Study) -> None:
         if len(study.directions) > 1:

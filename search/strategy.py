@@ -81,7 +81,11 @@ class Strategy(ABC):
 
     @property
     def metric(self) -> Features:
-        """The feature space of a strategy that uses one."""
+        """The feature space of a strategy that uses one.
+
+        Raises:
+            BadSetting: none was given.
+        """
         if self.features is None:
             raise BadSetting(self.name, "features", "expected a feature space (Features), found None")
         return self.features
@@ -136,7 +140,8 @@ class Strategy(ABC):
     def recommend(self, history: Sequence[Observation]) -> int | None:
         """The index in the history of the best answer so far: highest value among complete trials of the real task.
 
-        Trials at a difficulty below 1 are no answers. None where there is nothing yet.
+        Trials at a difficulty below 1 are no answers. None where there is nothing yet. The history is not checked: it
+        is what `propose` has accepted.
         """
         best, best_value = None, -math.inf
         for i, o in enumerate(history):
@@ -148,7 +153,16 @@ class Strategy(ABC):
 
     @abstractmethod
     def propose_from(self, record: Record, count: int, rng: np.random.Generator) -> list[Candidate]:
-        """`propose` on checked arrays."""
+        """`propose` on checked arrays; what a strategy of one's own defines.
+
+        Args:
+            record: history and pending trials, ``n`` and ``m`` of them, in unit coordinates ``d``.
+            count: how many candidates are wanted, at least 1.
+            rng: all randomness of the proposal.
+
+        Returns:
+            At most `count` candidates.
+        """
 
     def candidate(self, unit: Array, **info: Any) -> Candidate:
         """A candidate without difficulty from ``d`` unit coordinates."""

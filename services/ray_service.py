@@ -6,7 +6,7 @@ import logging
 import os
 import signal
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any
@@ -139,9 +139,9 @@ class CoordinatorActor:
 
     # A group of one thread: messages of one worker must not overtake each other.
     @ray.method(concurrency_group="mail")
-    def receive(self, text: str) -> None:
-        """A message from a worker."""
-        self._dispatcher.put(text)
+    def receive(self, texts: Sequence[str]) -> None:
+        """Messages from a worker, in order."""
+        self._dispatcher.put(texts)
 
     @ray.method(concurrency_group="control")
     def leave(self, state: str, reason: str) -> None:

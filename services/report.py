@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from search import distinct
+from search import cluster_joined, distinct
 from services.spec import Behaviour, ResolvedSpec, StudySpec
 from services.states import TrialState
 from services.store.port import StudyRow, TrialRow
@@ -60,16 +60,50 @@ def distinct_trials(row: StudyRow, history: Sequence[TrialRow]) -> list[Finding]
     """
     behaviour = behaviour_of(row)
     metric = search_features(behaviour)
-    rows = [trial for trial in history if trial.state is TrialState.COMPLETE and trial.features is not None]
-    rows = [trial for trial in rows if not _refused(trial)]
+    rows = [trial for trial in history if _shows_behaviour(trial)]
     if behaviour is None or metric is None or not rows:
         return []
-    values = [-math.inf if trial.value is None else trial.value for trial in rows]
+    values = [_worth(trial) for trial in rows]
     clusters = distinct([trial.features for trial in rows], values, metric, behaviour.distinct)
     return [
         Finding(rows[cluster.representative], tuple(rows[index].number for index in cluster.members))
         for cluster in clusters
     ]
+
+
+def distinct_with(row: StudyRow, found: Sequence[Finding], trial: TrialRow) -> list[Finding] | None:
+    """The strategies with the trial that finished next; None where `distinct_trials` has to look at all of them.
+
+    Args:
+        row: the study.
+        found: its strategies before, as `distinct_trials` gives them.
+        trial: the one that finished after all of theirs.
+    """
+    behaviour = behaviour_of(row)
+    metric = search_features(behaviour)
+    if behaviour is None or metric is None or not _shows_behaviour(trial):
+        return list(found)
+    leaders = [finding.trial for finding in found]
+    place = cluster_joined(
+        trial.features,
+        _worth(trial),
+        [leader.features for leader in leaders],
+        [_worth(leader) for leader in leaders],
+        metric,
+        behaviour.distinct,
+    )
+    if place is None:
+        return None
+    joined = Finding(leaders[place], (*found[place].members, trial.number))
+    return [*found[:place], joined, *found[place + 1 :]]
+
+
+def _shows_behaviour(trial: TrialRow) -> bool:
+    return trial.state is TrialState.COMPLETE and trial.features is not None and not _refused(trial)
+
+
+def _worth(trial: TrialRow) -> float:
+    return -math.inf if trial.value is None else trial.value
 
 
 def _refused(trial: TrialRow) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,10 +12,10 @@ from search import SearchError, UnknownStrategy, strategies
 from search.registry import strategy_class
 from services.located_yaml import Path as Place
 from services.problems import BadStudy, Problem
-from services.spec import ResolvedSpec, StudySpec
+from services.spec import FloatParameter, IntParameter, Parameter, ResolvedSpec, StudySpec, as_written
 from services.spec_file import Draft, draft, read_draft
 from services.translate import make_strategy_of, resolve, settings_in
-from workers.contracts import BadJob, BadSetting, Task, TaskInfo
+from workers.contracts import BadJob, BadSetting, ParameterSpec, Task, TaskInfo
 from workers.registry import load_task
 from workers.user_code import UnknownTask
 
@@ -51,6 +52,7 @@ def check(read: Draft) -> ResolvedSpec:
     spec = _resolved(read, read.spec, info, problems)
     if spec is not None:
         _ask_task(read, spec, task, problems)
+        _compare_space(read, spec, info, problems)
         if not problems:
             _ask_stages(read, spec, task, info, problems)
             _ask_strategy(read, spec, problems)
@@ -105,6 +107,43 @@ def _ask_task(read: Draft, spec: ResolvedSpec, task: Task, problems: Problems) -
         problems.append(read.source.problem(_place(error), error.message))
     except BadJob as error:
         problems.append(read.source.problem(("task",), str(error)))
+
+
+def _compare_space(read: Draft, spec: ResolvedSpec, info: TaskInfo, problems: Problems) -> None:
+    """Whether the task can do all that the study may ask of it; a default space always can."""
+    for name, found in (spec.space or {}).items():
+        known = info.parameters.get(name)
+        if known is None:
+            continue  # the task says itself which names it takes
+        if (found.type == "categorical") != (known.kind == "categorical"):
+            kinds = "categorical" if known.kind == "categorical" else "float, int or angle"
+            problems.append(read.source.problem(("space", name, "type"), f"expected {kinds}, found {found.type}"))
+            continue
+        low, high = (-math.pi, math.pi) if found.type == "angle" else bounds_of(found)
+        for end, value, bad in (
+            ("low", low, known.least is not None and low < known.least),
+            ("high", high, known.most is not None and high > known.most),
+        ):
+            if bad:
+                place: Place = ("space", name) if found.type == "angle" else ("space", name, end)
+                span = f"{_span(known)} {known.unit}".rstrip()
+                message = (
+                    f"expected {span}, found {as_written(value)}; {info.name} can do no more: give it a smaller range"
+                )
+                if known.low is not None and known.high is not None:
+                    message += f", usual is {known.low:g} to {known.high:g}"
+                problems.append(read.source.problem(place, message))
+
+
+def bounds_of(parameter: Parameter) -> tuple[float, float]:
+    """Lowest and highest value of a numeric parameter; of no other."""
+    return (parameter.low, parameter.high) if isinstance(parameter, FloatParameter | IntParameter) else (0.0, 0.0)
+
+
+def _span(known: ParameterSpec) -> str:
+    if known.least is None or known.most is None:
+        return f"at least {known.least:g}" if known.least is not None else f"at most {known.most:g}"
+    return f"from {known.least:g} to {known.most:g}"
 
 
 def _ask_stages(read: Draft, spec: ResolvedSpec, task: Task, info: TaskInfo, problems: Problems) -> None:

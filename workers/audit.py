@@ -12,31 +12,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from workers.contracts import JSON
-from workers.physics import rotations
-from workers.physics.athlete import RATE, SPHERICAL, ranges, torque_bound
+from workers.physics.athlete import RATE, torque_bound
+from workers.physics.limits import HUMAN, beyond_range, joint_rates, largest
 from workers.physics.rotations import Array
 from workers.physics.world import GRAVITY
 from workers.replay import Replay
 
 BALLISTIC = 0.03
 """m that the centre of mass may leave its parabola by: the integrator's own error is below 0.01 m in 1 s."""
-ANGLE = 0.35
-"""rad that a joint may be beyond its range: the penalty is a spring, and flexible people differ by as much."""
-RATE_FACTOR = 1.0
-"""Largest rate of a joint over what a human reaches."""
-RATE_FRAMES = 4
-"""Frames (1/30 s) that a rate is measured over: human rates come from motion capture, filtered at about 15 Hz."""
 TORQUE_FACTOR = 1.002
 """Largest torque over what muscles (and, beyond a joint's range, ligaments) give; float32 rounds."""
 PENETRATION = 0.02
 """m that a body may sink into ground or wall."""
 OVERLAP = 0.02
 """m that two bodies may overlap: about what flesh gives."""
-PUSH = 6.0
-"""Force of the foot over body weight, mean of 1/120 s; elite high jumpers are measured at 4 to 6."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,26 +101,22 @@ def audit(replay: Replay) -> Audit:
     # muscles and bones are the same anywhere: body weights are those on Earth
     weight = masses.sum() * GRAVITY
     joints = replay.joints()
-    low, high = ranges(joints)
-    beyond = np.maximum(jump["pose"] - high, low - jump["pose"])
     return Audit(
         (
             Check("ballistic_flight", flight_error(jump, masses, period, gravity), BALLISTIC, "m"),
-            Check("joint_angle", _largest(beyond), ANGLE, "rad beyond range"),
-            Check(
-                "joint_rate", _largest(joint_rates(jump["pose"], period) / RATE), RATE_FACTOR, "of the human maximum"
-            ),
+            Check("joint_angle", largest(beyond_range(jump["pose"], joints)), HUMAN.angle, "rad beyond range"),
+            Check("joint_rate", largest(joint_rates(jump["pose"], period) / RATE), HUMAN.rate, "of the human maximum"),
             # a frame's torque is that at its start: in the pose of the frame before
             Check(
                 "torque",
-                _largest(np.abs(jump["torque"][1:]) / torque_bound(jump["pose"][:-1], joints)),
+                largest(np.abs(jump["torque"][1:]) / torque_bound(jump["pose"][:-1], joints)),
                 TORQUE_FACTOR,
                 "of the limit",
             ),
-            Check("penetration", _largest(jump["penetration"]), PENETRATION, "m"),
-            Check("self_intersection", _largest(jump["overlap"]), OVERLAP, "m"),
-            Check("foot_push", float(_largest(jump["ground_force"]) / weight), PUSH, "body weights"),
-            Check("wall_touched", _largest(touching[:, 1].astype(np.float64)), 0.0, "bodies"),
+            Check("penetration", largest(jump["penetration"]), PENETRATION, "m"),
+            Check("self_intersection", largest(jump["overlap"]), OVERLAP, "m"),
+            Check("foot_push", float(largest(jump["ground_force"]) / weight), HUMAN.push, "body weights"),
+            Check("wall_touched", largest(touching[:, 1].astype(np.float64)), 0.0, "bodies"),
             Check("missed_landing", float(len(on_mat) == 0), 0.0, "jumps"),
         )
     )
@@ -157,24 +144,3 @@ def flight_error(jump: dict[str, Array], masses: Array, period: float, gravity: 
     basis = np.stack([np.ones_like(t), t], 1)
     straight = basis @ np.linalg.lstsq(basis, level, rcond=None)[0]
     return float(np.linalg.norm(level - straight, axis=1).max())
-
-
-def joint_rates(pose: Array, period: float) -> Array:
-    """Mean magnitudes of the joints' rates over `RATE_FRAMES` ``[frame - RATE_FRAMES, 28]``, rad/s.
-
-    From the recorded poses ``[frame, 28]`` rather than the recorded rates, which a blow changes for one frame.
-    """
-    if len(pose) <= RATE_FRAMES:
-        return np.zeros((0, pose.shape[1]))
-    turned = 3 * len(SPHERICAL)
-    quaternions = rotations.from_rotation_vector(pose[:, :turned].reshape(len(pose), -1, 3))
-    turns = rotations.multiply(rotations.conjugate(quaternions[:-RATE_FRAMES]), quaternions[RATE_FRAMES:])
-    angles = rotations.to_rotation_vector(turns).reshape(len(turns), -1)
-    hinges = pose[RATE_FRAMES:, turned:] - pose[:-RATE_FRAMES, turned:]
-    rates: Array = np.abs(np.concatenate([angles, hinges], 1)) / (RATE_FRAMES * period)
-    return rates
-
-
-def _largest(values: NDArray[np.float64]) -> float:
-    """Largest value, NaN where there is any, 0 where there is none."""
-    return float(np.max(values)) if values.size else 0.0

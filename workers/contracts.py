@@ -178,6 +178,8 @@ class ParameterSpec:
         log: whether the scale is logarithmic (`float`, `int`).
         choices: of `categorical`.
         unit: for axes and tables, e.g. `rad/s`.
+        least, most: inclusive bounds of what the task can do at all. A study may search wider than `low` to `high`,
+            which are a default, and no wider than these. None: no bound.
     """
 
     kind: Literal["float", "int", "categorical", "angle"]
@@ -186,6 +188,8 @@ class ParameterSpec:
     log: bool = False
     choices: tuple[str, ...] = ()
     unit: str = ""
+    least: float | None = None
+    most: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

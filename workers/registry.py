@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
-from importlib.metadata import entry_points
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, cast
 
 from workers.contracts import Task, TaskInfo, WorkerError
@@ -38,7 +40,7 @@ def load_task(name: str) -> Task:
     """
     if name in BUILT_IN:
         return _as_task(name, import_attribute(BUILT_IN[name]))
-    for entry in entry_points(group=GROUP):
+    for entry in _offered(tuple(sys.path)):
         if entry.name == name:
             return _as_task(name, _load_entry(name, entry))
     if name.startswith(GYMNASIUM):
@@ -55,7 +57,7 @@ def load_task(name: str) -> Task:
 
 def task_names() -> list[str]:
     """Names of the built-in tasks and of those that installed packages offer."""
-    return sorted({*BUILT_IN, *(entry.name for entry in entry_points(group=GROUP))})
+    return sorted({*BUILT_IN, *(entry.name for entry in _offered(tuple(sys.path)))})
 
 
 def list_tasks() -> list[TaskInfo]:
@@ -67,6 +69,12 @@ def list_tasks() -> list[TaskInfo]:
         except WorkerError as error:
             found.append(TaskInfo(name, f"can't be loaded: {str(error).splitlines()[-1]}"))
     return found
+
+
+@lru_cache(maxsize=1)
+def _offered(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:  # noqa: ARG001 - what is installed follows from it
+    """What installed packages offer. Looking through all of them takes milliseconds, which each trial would pay."""
+    return tuple(entry_points(group=GROUP))
 
 
 def _load_entry(name: str, entry: Any) -> Any:

@@ -26,6 +26,7 @@ async def watched(
     server: Server,
     *,
     listen: str,
+    opening: Sequence[str],
     asked: Sequence[tuple[float, str]],
     span: float,
     count: int,
@@ -38,6 +39,8 @@ async def watched(
     Args:
         server: the server.
         listen: path of the events' socket.
+        opening: what one page asked for when it was opened; each viewer asks for it once, before the measurement, so
+            that the memory which it takes counts.
         asked: what one page asked for by itself in `span` seconds; each viewer does the same over and over, beginning
             at a moment of its own.
         span: how long that was watched.
@@ -63,12 +66,17 @@ async def watched(
             for offset, path in asked:
                 await asyncio.sleep(max(0.0, start + lap + offset - time.perf_counter()))
                 if lap + offset >= 0:
-                    await client.get(server.url + path, headers=HEADERS)
+                    (await client.get(server.url + path, headers=HEADERS)).raise_for_status()
                     requests += 1
             lap += span
 
+    async def open_page(client: httpx.AsyncClient) -> None:
+        for path in opening:
+            (await client.get(server.url + path, headers=HEADERS)).raise_for_status()
+
     phases = random.Random(1)
     async with httpx.AsyncClient(timeout=60) as client:
+        await asyncio.gather(*(open_page(client) for _ in range(count)))
         tasks = [asyncio.create_task(hear()) for _ in range(count)]
         tasks += [asyncio.create_task(ask(client, phases.uniform(0, span))) for _ in range(count)]
         await asyncio.sleep(3)

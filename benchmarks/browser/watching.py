@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
-from playwright.sync_api import Browser, Page, Playwright
+from playwright.sync_api import Browser, Page, Playwright, Request
 
 from benchmarks.browser.record import Writer
 from benchmarks.browser.servers import TOKEN, Server
@@ -156,21 +157,44 @@ def optuna_to_screen(page: Page, add: Callable[[], None], repeats: int) -> list[
     return sorted(delays)
 
 
-def requests_while_live(page: Page, writer: Writer, seconds: float, rate: float) -> list[tuple[float, str]]:
-    """What one open page asks the service for by itself while trials come: seconds after the start, and path."""
+@contextlib.contextmanager
+def noted(page: Page) -> Iterator[list[tuple[float, str]]]:
+    """What a page asks the service for while the block runs: seconds after its start, and path.
+
+    And not longer: the same page is led elsewhere later, and what it asks for there is none of this.
+    """
     start = time.perf_counter()
     asked: list[tuple[float, str]] = []
 
-    def note(url: str) -> None:
-        parts = urlsplit(url)
-        if parts.path.startswith("/api/"):
+    def note(request: Request) -> None:
+        parts = urlsplit(request.url)
+        if parts.scheme.startswith("http"):
             asked.append((time.perf_counter() - start, f"{parts.path}?{parts.query}" if parts.query else parts.path))
 
-    page.on("request", lambda request: note(request.url))
-    while time.perf_counter() - start < seconds:
-        writer.end(writer.begin(1))
-        page.wait_for_timeout(1000 / rate)
-    return asked
+    page.on("request", note)
+    try:
+        yield asked
+    finally:
+        page.remove_listener("request", note)
+
+
+def requests_of_opening(page: Page, server: Server, study: str) -> list[str]:
+    """What a page asks for when a study is opened by somebody who has its scripts already: the page and its data."""
+    with noted(page) as asked:
+        first_view(page, server, study)
+        page.wait_for_selector("#link[data-state=live]")
+        page.wait_for_timeout(2000)
+    return [path for _, path in asked if not path.startswith("/static")]
+
+
+def requests_while_live(page: Page, writer: Writer, seconds: float, rate: float) -> list[tuple[float, str]]:
+    """What one open page asks the service for by itself while trials come: seconds after the start, and path."""
+    with noted(page) as asked:
+        start = time.perf_counter()
+        while time.perf_counter() - start < seconds:
+            writer.end(writer.begin(1))
+            page.wait_for_timeout(1000 / rate)
+    return [(after, path) for after, path in asked if after < seconds]
 
 
 def scrolling(page: Page, server: Server, study: str) -> tuple[float, float, float, int]:

@@ -13,15 +13,16 @@ import json
 import os
 import time
 import zlib
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.search.ablations import strategy_class
 from benchmarks.search.map_sets import FLIGHTS, INTERIOR, MAPS, REPORT, TUNE, VALIDATE, WIDE
-from search import Observation, make_strategy
-from search.registry import strategy_class
+from search import Observation
 
 RESULTS = Path(__file__).parent.parent / "results"
 
@@ -43,8 +44,13 @@ ABLATIONS: dict[str, tuple[str, dict[str, Any], int]] = {
     "bds - longer start": ("bds", {"start": 2}, 1),
     "bds - spacing": ("bds", {"radius": 0.0}, 1),
     "bds - Sobol start": ("bds", {"start": 0}, 1),
+    "bds - priors": ("bds without priors", {}, 1),
+    "bds - noise": ("bds without noise", {}, 1),
+    "bds - geometry": ("bds with plain geometry", {}, 1),
+    "bds - one acquisition": ("bds alternating", {}, 1),
+    "bds, batches of 8 - belief": ("bds without belief", {}, 8),
 }
-"""The default with one repair taken away."""
+"""The default with one repair taken away; by a setting, or by a class of `benchmarks.search.ablations`."""
 
 
 SETS = {"tune": TUNE, "validate": VALIDATE, "report": REPORT, "flights": FLIGHTS, "wide": WIDE}
@@ -58,9 +64,10 @@ def run_one(
     m = MAPS[problem]
     space = m.space
     settings = dict(settings)
-    if "seed" in {f.name for f in strategy_class(strategy).info().settings}:
+    kind = strategy_class(strategy)
+    if "seed" in {f.name for f in kind.info().settings}:
         settings["seed"] = seed
-    made = make_strategy(strategy, space, features=m.features, settings=settings)
+    made = kind(space, m.features, settings)
     key = zlib.crc32(problem.encode())
     history: list[Observation] = []
     found: set[int] = set()
@@ -100,13 +107,22 @@ def _job(arguments: tuple[Any, ...]) -> dict[str, Any]:
 
 
 def run_all(
-    configs: dict[str, Any], problems: list[str], seeds: int, evaluations: int, processes: int, path: Path
+    configs: dict[str, Any],
+    problems: list[str],
+    seeds: int,
+    evaluations: int,
+    processes: int,
+    path: Path,
+    *,
+    run: bool = True,
 ) -> list[dict[str, Any]]:
-    """All runs, those on disk included."""
+    """All runs, those on disk included; those on disk alone where nothing shall run."""
     path.parent.mkdir(parents=True, exist_ok=True)
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     wanted = {(c, p, s) for c in configs for p in problems for s in range(seeds)}
     have = {(r["config"], r["problem"], r["seed"]): r for r in done if r["evaluations"] >= evaluations}
+    if not run:
+        return whole_seeds([have[k] for k in sorted(wanted & set(have))], problems)
     todo = sorted(wanted - set(have), key=lambda k: (k[2], k[1], k[0]))  # seed by seed: what is done is balanced
     jobs = [(c, *configs[c], p, s, evaluations) for (c, p, s) in todo]
     with path.open("a") as out, ProcessPoolExecutor(processes) as pool:
@@ -123,6 +139,41 @@ def interval(values: np.ndarray, rng: np.random.Generator) -> tuple[float, float
     return float(values.mean()), float(np.quantile(means, 0.025)), float(np.quantile(means, 0.975))
 
 
+def whole_seeds(results: list[dict[str, Any]], problems: list[str]) -> list[dict[str, Any]]:
+    """The runs of those seeds for which a configuration has every problem: a study that was cut short is no mean."""
+    have: dict[tuple[str, int], set[str]] = {}
+    for r in results:
+        have.setdefault((r["config"], r["seed"]), set()).add(r["problem"])
+    return [r for r in results if r["problem"] in problems and have[r["config"], r["seed"]] >= set(problems)]
+
+
+def base_of(config: str, configs: Sequence[str], first: str) -> str:
+    """What a configuration is compared with: an ablation with what it was taken from, all others with `first`."""
+    return first if config in configs else max((c for c in configs if config.startswith(c)), key=len, default=first)
+
+
+def paired(
+    results: list[dict[str, Any]], configs: Sequence[str], first: str, figure: Callable[[dict[str, Any]], list[float]]
+) -> None:
+    """Differences to what each configuration is compared with, on the seeds that both have."""
+    print(f"\n{'':28s}paired by seed: mean difference (standard error)")
+    per: dict[str, dict[int, np.ndarray]] = {}
+    for c in dict.fromkeys(r["config"] for r in results):
+        seeds = sorted({r["seed"] for r in results if r["config"] == c})
+        per[c] = {
+            s: np.mean([figure(r) for r in results if r["config"] == c and r["seed"] == s], axis=0) for s in seeds
+        }
+    for c, mine in per.items():
+        base = base_of(c, configs, first)
+        shared = [s for s in mine if s in per.get(base, {})]
+        if base == c or len(shared) < 2:
+            continue
+        gaps = np.array([mine[s] - per[base][s] for s in shared])
+        errors = gaps.std(0, ddof=1) / np.sqrt(len(gaps))
+        told = "".join(f"{m:10.3f} ({e:.3f})" for m, e in zip(gaps.mean(0), errors, strict=True))
+        print(f"{c:28s}{told}   to {base}, {len(shared)} seeds")
+
+
 def table(results: list[dict[str, Any]], problems: list[str], at: tuple[int, ...], title: str) -> None:
     """Means over problems and seeds; intervals from resampling seeds (each seed's mean over problems)."""
     configs = list(dict.fromkeys(r["config"] for r in results))
@@ -130,7 +181,7 @@ def table(results: list[dict[str, Any]], problems: list[str], at: tuple[int, ...
     print(
         f"{'':28s}"
         + "".join(f"{f'after {n}':>24s}" for n in at)
-        + f"{'x random':>10s}{'failed':>8s}{'dup':>6s}{'faces':>7s}{'s/ask':>7s}"
+        + f"{'x random':>10s}{'failed':>8s}{'dup':>6s}{'faces':>7s}{'s/ask':>7s}{'seeds':>6s}"
     )
     base = None
     order = sorted(configs, key=lambda c: (c != "random", c))
@@ -149,7 +200,7 @@ def table(results: list[dict[str, Any]], problems: list[str], at: tuple[int, ...
             f"{ratio:10.2f}{np.mean([r['failures'] for r in rows]):8.1f}{np.mean([r['duplicates'] for r in rows]):6.2f}"
         )
         line += f"{np.mean([r['faces'] for r in rows]):7.2f}{np.mean([r['seconds'] for r in rows]):7.2f}"
-        print(line)
+        print(f"{line}{len(seeds):6d}")
 
 
 def per_problem(results: list[dict[str, Any]], problems: list[str], n: int) -> None:
@@ -174,6 +225,7 @@ def main() -> None:
         "--extra", default="", help="JSON: name -> [strategy, settings, batch], tried beside the others"
     )
     parser.add_argument("--ablations", action="store_true")
+    parser.add_argument("--print", action="store_true", help="run nothing, print what is on disk, seeds told by row")
     parser.add_argument("--quick", action="store_true", help="3 seeds, 10 evaluations, 4 maps")
     parser.add_argument("--out", type=Path, default=RESULTS / "diversity.jsonl")
     args = parser.parse_args()
@@ -186,10 +238,17 @@ def main() -> None:
     names = [n for n in args.configs.split(";") if n] or [*CONFIGS, *(ABLATIONS if args.ablations else ())]
     names += [n for n in json.loads(args.extra or "{}") if n not in names]
     results = run_all(
-        {n: everything[n] for n in names}, problems, args.seeds, args.evaluations, args.processes, args.out
+        {n: everything[n] for n in names},
+        problems,
+        args.seeds,
+        args.evaluations,
+        args.processes,
+        args.out,
+        run=not args.print,
     )
     at = tuple(n for n in (10, 20, 30) if n <= args.evaluations)
     table(results, problems, at, f"{args.set} maps, {args.seeds} seeds")
+    paired(results, list(CONFIGS), "bds", lambda r: [r["curve"][n - 1] for n in at])
     inside = [p for p in problems if p in INTERIOR or p.endswith("interior")]
     if inside:
         table(results, inside, at, "maps with interior strategies only")

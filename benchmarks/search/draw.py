@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,22 +17,35 @@ import numpy as np
 mpl.use("Agg")
 from matplotlib import pyplot as plt  # the backend is chosen first: there may be no display
 
+from benchmarks.search import diversity, map_sets, objectives, quality
 from benchmarks.search.diversity import RESULTS
-from benchmarks.search.quality import GRID
 
 
-def complete(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
-    """Runs by configuration, only for problems and seeds that every configuration has."""
+def complete(rows: list[dict[str, Any]], wanted: Sequence[str], problems: Sequence[str]) -> dict[str, list[Any]]:
+    """Runs by configuration: of the seeds for which it has every problem, their number told where others have more."""
     by = {(r["config"], r["problem"], r["seed"]): r for r in rows}
-    configs = sorted({c for c, _, _ in by})
-    pairs = sorted({(p, s) for _, p, s in by})
-    whole = [(p, s) for p, s in pairs if all((c, p, s) in by for c in configs)]
-    return {c: [by[c, p, s] for p, s in whole] for c in configs}
+    seeds = {c: sorted({s for d, _, s in by if d == c and all((c, p, s) in by for p in problems)}) for c in wanted}
+    most = max(map(len, seeds.values()))
+    return {
+        c if len(whole) == most else f"{c} ({len(whole)} seeds)": [by[c, p, s] for s in whole for p in problems]
+        for c, whole in seeds.items()
+        if whole
+    }
 
 
-def draw(path: Path, x: np.ndarray | None, key: str, labels: tuple[str, str]) -> None:
+def draw(
+    path: Path,
+    x: np.ndarray | None,
+    key: str,
+    labels: tuple[str, str],
+    configs: Sequence[str],
+    problems: Sequence[str],
+) -> None:
     """One figure: means, with the standard error over problems and seeds as a band."""
-    runs = complete([json.loads(line) for line in path.read_text().splitlines()])
+    if not path.exists():
+        print(f"nothing at {path}: no figure")
+        return
+    runs = complete([json.loads(line) for line in path.read_text().splitlines()], configs, problems)
     figure, axes = plt.subplots(figsize=(9, 5))
     curves = {config: np.array([r[key] for r in rows], dtype=float) for config, rows in runs.items()}
     # in the order in which they end, as the legend beside them; ten colours, then the same with dashes
@@ -52,8 +66,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--results", type=Path, default=RESULTS)
     args = parser.parse_args()
-    draw(args.results / "diversity.jsonl", None, "curve", ("evaluations", "distinct strategies"))
-    draw(args.results / "quality.jsonl", np.array(GRID), "at", ("cost, full evaluations", "fraction of the optimum"))
+    draw(
+        args.results / "diversity.jsonl",
+        None,
+        "curve",
+        ("evaluations", "distinct strategies"),
+        list(diversity.CONFIGS),
+        [m.name for m in map_sets.REPORT],
+    )
+    draw(
+        args.results / "quality.jsonl",
+        np.array(quality.GRID),
+        "at",
+        ("cost, full evaluations", "fraction of the optimum"),
+        list(quality.CONFIGS),
+        [o.name for o in objectives.REPORT],
+    )
 
 
 if __name__ == "__main__":

@@ -23,10 +23,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.search.diversity import RESULTS, interval
+from benchmarks.search.ablations import strategy_class
+from benchmarks.search.diversity import RESULTS, interval, paired, whole_seeds
 from benchmarks.search.objectives import OBJECTIVES, REPORT, TUNE, Objective
-from search import Observation, make_strategy
-from search.registry import strategy_class
+from search import Observation
 from search.strategy import Strategy
 
 CONFIGS: dict[str, tuple[str, dict[str, Any], int, bool]] = {
@@ -53,8 +53,18 @@ ABLATIONS: dict[str, tuple[str, dict[str, Any], int, bool]] = {
     "cmfbo - easy phase": ("cmfbo", {"easy": 0.0}, 1, False),
     "cmfbo - share at z = 1": ("cmfbo", {"share": 0.0}, 1, False),
     "cmfbo - margin": ("cmfbo", {"margin": 1.0}, 1, False),
+    "cmfbo - trend": ("cmfbo without trend", {}, 1, False),
+    "cmfbo - priors": ("cmfbo without priors", {}, 1, False),
+    "cmfbo, published x": ("cmfbo with the published x", {}, 1, False),
+    "cmfbo, published z": ("cmfbo with the published z", {}, 1, False),
+    "cmfbo, published x, z": ("cmfbo with the published acquisition", {}, 1, False),
+    "cmfbo - reserve": ("cmfbo without reserve", {}, 1, False),
+    "cmfbo - learnt costs": ("cmfbo with prior costs", {}, 1, False),
+    "cmfbo - answer at z = 1": ("cmfbo with any answer", {}, 1, False),
+    "cmfbo, transfer, any parent": ("cmfbo with any parent", {}, 1, True),
     "cmfbo, z = 1 alone": ("cmfbo", {"easy": 0.0, "start_z": 1.0, "share": 1.0}, 1, False),
 }
+"""The default with one repair taken away; by a setting, or by a class of `benchmarks.search.ablations`."""
 GRID = (5, 10, 15, 20, 25, 30)
 BUDGET = 30.0
 
@@ -66,12 +76,13 @@ def run_one(
     o = replace(OBJECTIVES[problem], instance=seed)
     space = o.space
     settings = dict(settings)
-    names = {s.name for s in strategy_class(strategy).info().settings}
+    kind = strategy_class(strategy)
+    names = {s.name for s in kind.info().settings}
     if "seed" in names:
         settings["seed"] = seed
     if "cost_budget" in names:
         settings["cost_budget"] = BUDGET
-    made = make_strategy(strategy, space, settings=settings)
+    made = kind(space, settings=settings)
     key = zlib.crc32(problem.encode())
     history: list[Observation] = []
     paid, seconds, asks = 0.0, 0.0, 0
@@ -129,13 +140,15 @@ def _job(arguments: tuple[Any, ...]) -> dict[str, Any]:
 
 
 def run_all(
-    configs: dict[str, Any], problems: list[str], seeds: int, processes: int, path: Path
+    configs: dict[str, Any], problems: list[str], seeds: int, processes: int, path: Path, *, run: bool = True
 ) -> list[dict[str, Any]]:
-    """All runs, those on disk included."""
+    """All runs, those on disk included; those on disk alone where nothing shall run."""
     path.parent.mkdir(parents=True, exist_ok=True)
     done = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     wanted = {(c, p, s) for c in configs for p in problems for s in range(seeds)}
     have = {(r["config"], r["problem"], r["seed"]): r for r in done}
+    if not run:
+        return whole_seeds([have[k] for k in sorted(wanted & set(have))], problems)
     todo = sorted(wanted - set(have), key=lambda k: (k[2], k[1], k[0]))  # seed by seed: what is done is balanced
     jobs = [(c, *configs[c], p, s) for (c, p, s) in todo]
     with path.open("a") as out, ProcessPoolExecutor(processes) as pool:
@@ -149,7 +162,10 @@ def run_all(
 def table(results: list[dict[str, Any]], title: str) -> None:
     """Means over problems and seeds; intervals from resampling seeds."""
     print(f"\n{title}: fraction of the optimum [95 % interval over seeds]; median cost to 80 % (30+: not reached)")
-    print(f"{'':28s}{'cost 10':>10s}{'cost 20':>22s}{'cost 30':>22s}{'to 80 %':>9s}{'n':>6s}{'z = 1':>7s}{'s/ask':>7s}")
+    print(
+        f"{'':28s}{'cost 10':>10s}{'cost 20':>22s}{'cost 30':>22s}{'to 80 %':>9s}"
+        f"{'n':>6s}{'z = 1':>7s}{'s/ask':>7s}{'seeds':>7s}"
+    )
     for c in dict.fromkeys(r["config"] for r in results):
         rows = [r for r in results if r["config"] == c]
         seeds = sorted({r["seed"] for r in rows})
@@ -161,7 +177,7 @@ def table(results: list[dict[str, Any]], title: str) -> None:
         to80 = float(np.median([r["to80"] if r["to80"] is not None else 99 for r in rows]))
         line += f"{'30+' if to80 > 30 else f'{to80:.1f}':>9s}"
         line += f"{np.mean([r['n'] for r in rows]):6.0f}{np.mean([r['top'] for r in rows]):7.2f}"
-        print(line + f"{np.mean([r['seconds'] for r in rows]):7.2f}")
+        print(line + f"{np.mean([r['seconds'] for r in rows]):7.2f}{len(seeds):7d}")
 
 
 def per_problem(results: list[dict[str, Any]], problems: list[str]) -> None:
@@ -181,6 +197,7 @@ def main() -> None:
     parser.add_argument("--configs", default="", help="names separated by semicolons; all where empty")
     parser.add_argument("--extra", default="", help="JSON: name -> [strategy, settings, batch, transfer]")
     parser.add_argument("--ablations", action="store_true")
+    parser.add_argument("--print", action="store_true", help="run nothing, print what is on disk, seeds told by row")
     parser.add_argument("--quick", action="store_true", help="2 seeds, 3 objectives, without the slow baselines")
     parser.add_argument("--out", type=Path, default=RESULTS / "quality.jsonl")
     args = parser.parse_args()
@@ -194,9 +211,11 @@ def main() -> None:
         args.out = RESULTS / "quality-quick.jsonl"
         args.out.unlink(missing_ok=True)
     names += [n for n in extra if n not in names]
-    results = run_all({n: everything[n] for n in names}, problems, args.seeds, args.processes, args.out)
+    chosen = {n: everything[n] for n in names}
+    results = run_all(chosen, problems, args.seeds, args.processes, args.out, run=not args.print)
     results.sort(key=lambda r: names.index(r["config"]))
     table(results, f"{args.set} objectives ({len(problems)}), {args.seeds} seeds")
+    paired(results, list(CONFIGS), "cmfbo", lambda r: [r["at"][g] for g in (1, 3, 5)])
     per_problem(results, problems)
 
 

@@ -164,6 +164,12 @@ export async function api(path, options = {}) {
   return body;
 }
 
+// Work that nobody would see waits until somebody looks: a tab in the background asks for nothing by itself.
+export function whenSeen(work) {
+  if (!document.hidden) { work(); return; }
+  document.addEventListener("visibilitychange", () => whenSeen(work), { once: true });
+}
+
 export function post(path, body = {}) {
   return api(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) });
 }

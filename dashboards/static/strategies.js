@@ -1,6 +1,6 @@
 // The gallery: one card for each distinct strategy, and how far they are apart. Asked for when the history has grown.
 import { feature, number } from "./format.js";
-import { api } from "./live.js";
+import { api, whenSeen } from "./live.js";
 import { element, setText } from "./plain.js";
 import { facingName, poseName } from "./posewords.js";
 import { distance, distanceWords } from "./spaces.js";
@@ -34,7 +34,7 @@ export class Strategies {
     if (at >= this.#due) return;
     clearTimeout(this.#timer);
     this.#due = at;
-    this.#timer = setTimeout(() => this.refresh(tell), at - performance.now());
+    this.#timer = setTimeout(() => whenSeen(() => this.refresh(tell)), at - performance.now());
   }
 
   #matters(trial) {
@@ -58,7 +58,7 @@ export class Strategies {
       tell(this.found.strategies);
     } catch {
       this.#asked = -1;
-      this.#timer = setTimeout(() => this.refresh(tell), LATER);
+      this.#timer = setTimeout(() => whenSeen(() => this.refresh(tell)), LATER);
     } finally {
       this.#busy = false;
     }

@@ -1,7 +1,7 @@
 // The list of studies, live.
 import { actionsFor, buttons, clone } from "./actions.js";
 import { amount, duration, moment, number, stateText } from "./format.js";
-import { Live, api } from "./live.js";
+import { Live, api, whenSeen } from "./live.js";
 import { data, element } from "./plain.js";
 import { drawProgress, progressWords, share } from "./progress.js";
 import { drawSpark } from "./spark.js";
@@ -129,7 +129,7 @@ async function pulse() {
   }
   if (due.size) pulseSoon();
 }
-function pulseSoon() { pulseTimer ||= setTimeout(pulse, 2000); }
+function pulseSoon() { pulseTimer ||= setTimeout(() => whenSeen(pulse), 2000); }
 pulse();
 setInterval(() => { for (const study of studies.values()) if (study.state === "running") due.add(study.name); pulseSoon(); }, 10000);
 

@@ -1,7 +1,7 @@
 // A study, live: its facts, and whichever view of it is open.
 import { actionsFor, buttons, clone } from "./actions.js";
 import { amount, duration, number, stateText } from "./format.js";
-import { Live, api, banner } from "./live.js";
+import { Live, api, banner, whenSeen } from "./live.js";
 import { Pace } from "./pace.js";
 import { data, isDark, setText } from "./plain.js";
 import { drawProgress, progressWords } from "./progress.js";
@@ -68,13 +68,13 @@ function drawPace() {
 let counting = 0;
 function countDistinct(wait = 0) {
   if (!behaviour || page.view === "overview") return;
-  counting ||= setTimeout(async () => {
+  counting ||= setTimeout(() => whenSeen(async () => {
     counting = 0;
     try {
       const { pulses: [one] } = await api(`/pulse?study=${encodeURIComponent(study.name)}`);
       if (one) setText("fact-distinct", number(one.distinct));
     } catch { /* the line at the top says that the service doesn't answer */ }
-  }, wait);
+  }), wait);
 }
 
 const context = { base, study: study.name, trials, behaviour, units, space: study.spec.space ?? {}, task: study.task, value: page.value, hasDifficulty: Boolean(study.spec.has_difficulty), staged: Boolean(Object.keys(study.spec.stages ?? {}).length) };

@@ -4,7 +4,7 @@
 // nothing is asked for again: a hundred people who watch cost the service next to nothing. In every other order, and
 // under a filter, what may have moved is asked for again, the more rarely the longer the service takes.
 // An answer that was on its way when a frame came is older than the frame: the frame wins.
-import { api } from "./live.js";
+import { api, whenSeen } from "./live.js";
 
 const BLOCK = 100;
 const KEPT = 3000;
@@ -159,12 +159,12 @@ export class TrialWindow {
   // Ask for the seen rows again.
   refresh() {
     const pause = Math.min(MOST_PAUSE, Math.max(LEAST_PAUSE, this.#took / SHARE));
-    this.#again ||= setTimeout(() => {
+    this.#again ||= setTimeout(() => whenSeen(() => {
       this.#again = 0;
       this.#last = performance.now();
       this.#forget();
       this.#fetch();
-    }, Math.max(0, this.#last + pause - performance.now()));
+    }), Math.max(0, this.#last + pause - performance.now()));
   }
 
   // Everything may be different: another database, or a gap in the events.

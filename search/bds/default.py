@@ -1,6 +1,6 @@
 """Bayesian diversity search, repaired.
 
-What differs from the published algorithm, and why (each can be switched off; `benchmarks/search` measures them):
+What differs from the published algorithm, and why (`benchmarks.search.ablations` takes them away one by one):
 
 - *Start*: a few Sobol points, since a surrogate of two points has nothing to say.
 - *Priors*: length scales, noise and amplitude are fitted by maximum a posteriori (`search.surrogate.fit`).
@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,7 +32,7 @@ from search.features import Features
 from search.record import Record
 from search.space import Array, Space
 from search.surrogate.embedding import Embedding
-from search.surrogate.fit import Fit, Prior, fit_map
+from search.surrogate.fit import Fit, Prior, fit_map, keep
 from search.surrogate.gp import GaussianProcess, IllConditioned, scaled_distance
 from search.surrogate.milestones import milestone
 from search.surrogate.subset import farthest_first
@@ -123,20 +124,28 @@ PRIOR_FEASIBLE = 0.6
 """Prior mean of the feasibility label (1 complete, -1 not): most trials succeed."""
 
 
-def fit_models(space: Space, metric: Features, record: Record) -> Models:
-    """Hyperparameters for behaviour and feasibility from the first observations of a record."""
+def fit_models(space: Space, metric: Features, record: Record, *, believed: Callable[[Prior], Prior] = keep) -> Models:
+    """Hyperparameters for behaviour and feasibility from the first observations of a record.
+
+    Args:
+        space: of the study.
+        metric: of the study.
+        record: what is known.
+        believed: what is made of the priors; as they are, or `flat`.
+    """
     m = milestone(record.n)
     E = space.encode(record.X[:m])
     known = np.flatnonzero(record.known[:m])
     embedding = Embedding(metric)
     scale = math.sqrt(max(1.0, space.d / 4))
-    prior = Prior(length=0.5 * scale, amplitude=embedding.amplitude, noise=1e-2)
+    prior = believed(Prior(length=0.5 * scale, amplitude=embedding.amplitude, noise=1e-2))
     rows = known[farthest_first(E[known], FIT_POINTS)]
     V = embedding.embed(record.features[rows]) if len(rows) else np.empty((0, embedding.k))
     behaviour = fit_map(E[rows], V, space.owner, prior)
     rows = farthest_first(E, FIT_POINTS)
     labels = np.where(record.complete[rows], 1.0, -1.0)[:, None] - PRIOR_FEASIBLE
-    feasibility = fit_map(E[rows], labels, space.owner, Prior(length=0.4 * scale, noise=5e-2, length_spread=0.5))
+    prior = believed(Prior(length=0.4 * scale, noise=5e-2, length_spread=0.5))
+    feasibility = fit_map(E[rows], labels, space.owner, prior)
     return Models(behaviour, feasibility)
 
 
@@ -148,6 +157,7 @@ def propose(
     rng: np.random.Generator,
     settings: Any,
     fitted: Models,
+    form: type[DiversityModel] = DiversityModel,
 ) -> list[tuple[Array, dict[str, Any]]]:
     """`count` points, one after the other, each pending for the next.
 
@@ -162,7 +172,7 @@ def propose(
         proposals = [(u, {"mode": "start"}) for u in points]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", IllConditioned)
-        model = DiversityModel(space, metric, record, fitted, feasibility=settings.feasibility)
+        model = form(space, metric, record, fitted, feasibility=settings.feasibility)
         model.believe(np.concatenate([record.pending, *(u[None, :] for u, _ in proposals)]))
         normals = rng.standard_normal((settings.samples, model.embedding.k))
         taken = [*record.asked, *(u for u, _ in proposals)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from search.record import Candidate, Record
 from search.settings import setting
 from search.space import Space
 from search.strategy import Strategy
+from search.surrogate.fit import Prior
 from search.surrogate.milestones import milestone
 from search.surrogate.threads import one_thread
 
@@ -38,12 +39,21 @@ class BDSSettings:
 
 
 class BayesianDiversitySearch(Strategy):
-    """Proposes what should show a behaviour unlike all known ones."""
+    """Proposes what should show a behaviour unlike all known ones (after Yin et al. 2021, Algorithm 1).
+
+    The reasons are in `candidate.info`: `acquisition` and `novelty` in the unit of the metric, `feasible` in [0, 1] and
+    `predicted`, the behaviour that is expected.
+
+    Repairs that no study would want to go without have no setting: `benchmarks.search.ablations` takes them away one by
+    one in subclasses that override `believed` or `model`.
+    """
 
     name = "bds"
     summary = "Bayesian diversity search: what should behave unlike everything known"
     uses_features = True
     Settings = BDSSettings
+    model: ClassVar[type[default.DiversityModel]] = default.DiversityModel
+    """The surrogates that proposals are made from."""
 
     def __init__(
         self, space: Space, features: Features | None = None, settings: Mapping[str, Any] | None = None
@@ -58,12 +68,19 @@ class BayesianDiversitySearch(Strategy):
                 proposals = published.propose(self.space, self.metric, record, count, rng, self.settings)
             else:
                 fitted = self._models(record)
-                proposals = default.propose(self.space, self.metric, record, count, rng, self.settings, fitted)
+                proposals = default.propose(
+                    self.space, self.metric, record, count, rng, self.settings, fitted, self.model
+                )
         return [self.candidate(u, **info) for u, info in proposals]
+
+    @staticmethod
+    def believed(prior: Prior) -> Prior:
+        """What is made of the priors of the hyperparameters: they are taken as they are."""
+        return prior
 
     def _models(self, record: Record) -> default.Models:
         """Fitted hyperparameters, kept for as long as the part of the history they were fitted to is the same."""
         key = record.digest(milestone(record.n))
         if self._fitted is None or self._fitted[0] != key:
-            self._fitted = (key, default.fit_models(self.space, self.metric, record))
+            self._fitted = (key, default.fit_models(self.space, self.metric, record, believed=self.believed))
         return self._fitted[1]

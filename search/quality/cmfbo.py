@@ -25,7 +25,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -34,13 +34,14 @@ from search.features import Features
 from search.quality import cmfbo_published
 from search.quality.acquisition import log_ei_gradient, log_expected_improvement, maximise
 from search.quality.budget import CostModel, spent
+from search.quality.fidelity import TREND
 from search.quality.gp_ucb import best_points
 from search.quality.model import ValueModel, fit_values
 from search.record import Candidate, Observation, Record, with_warnings
 from search.settings import setting
 from search.space import Array, Space
 from search.strategy import Strategy
-from search.surrogate.fit import Fit
+from search.surrogate.fit import Fit, Prior
 from search.surrogate.gp import IllConditioned
 from search.surrogate.milestones import milestone
 from search.surrogate.threads import one_thread
@@ -66,13 +67,26 @@ class CMFBOSettings:
 
 
 class CMFBO(Strategy):
-    """Curriculum multi-fidelity Bayesian optimisation."""
+    """Curriculum multi-fidelity Bayesian optimisation (after Yang and Yin 2021).
+
+    Proposes `params`, a difficulty `z` (one of `LEVELS` or `start_z`; as published a tenth of 1 or a multiple) and the
+    observation to start from. With a cost budget it proposes nothing more once that is used up.
+
+    Repairs that no study would want to go without have no setting. `benchmarks.search.ablations` takes them away one by
+    one in subclasses: it overrides `trend`, `believed`, `reserve`, `likeness`, `_costs`, `_where` or `_how_hard`.
+    """
 
     name = "cmfbo"
     summary = "curriculum multi-fidelity Bayesian optimisation: easy versions first, the real task for the answer"
     uses_values = True
     uses_z = True
     Settings = CMFBOSettings
+    trend: ClassVar[float] = TREND
+    """Prior variance of the slope of values over the difficulty, relative to the squared amplitude."""
+    reserve: ClassVar[float] = 3.0
+    """The last so many full evaluations of a budget are spent at z = 1."""
+    likeness: ClassVar[float] = 0.3
+    """Least kernel correlation at which a policy is worth starting from."""
 
     def __init__(
         self, space: Space, features: Features | None = None, settings: Mapping[str, Any] | None = None
@@ -97,6 +111,11 @@ class CMFBO(Strategy):
         values = [-math.inf if o.value is None or o.status != "complete" else o.value for o in history]
         return int(np.argmax(values)) if values and max(values) > -math.inf else None
 
+    @staticmethod
+    def believed(prior: Prior) -> Prior:
+        """What is made of the priors of the hyperparameters: they are taken as they are."""
+        return prior
+
     def _fit(self, record: Record, which: str) -> Fit:
         """Hyperparameters, kept for as long as the part of the history they were fitted to is the same."""
         m = milestone(record.n)
@@ -104,7 +123,10 @@ class CMFBO(Strategy):
         kept = self._fitted.get(which)
         if kept is None or kept[0] != key:
             length = 0.5 * math.sqrt(max(1.0, self.space.d / 2))
-            kept = self._fitted[which] = (key, fit_values(self.space, record.first(m), length, FIDELITY_LENGTH))
+            fitted = fit_values(
+                self.space, record.first(m), length, FIDELITY_LENGTH, trend=self.trend, believed=self.believed
+            )
+            kept = self._fitted[which] = (key, fitted)
         for said in kept[1].warnings:  # told with each proposal that stands on it, kept or new
             warnings.warn(said, IllConditioned, stacklevel=2)
         return kept[1]
@@ -119,18 +141,18 @@ class CMFBO(Strategy):
         Returns:
             The joint model, that of z = 1 alone or None where there is nothing to decide, the probability of the first.
         """
-        joint = ValueModel(self.space, record, self._fit(record, "joint"))
+        joint = ValueModel(self.space, record, self._fit(record, "joint"), trend=self.trend)
         top = record.z == 1
         if not self.settings.gate or top.sum() < GATE or top.all():
             return joint, None, 1.0
         above = record.only(top)
-        alone = ValueModel(self.space, above, self._fit(above, "alone"))
+        alone = ValueModel(self.space, above, self._fit(above, "alone"), trend=self.trend)
         odds = PRIOR_ODDS + joint.log_density_at_top() - alone.log_density_at_top()
         return joint, alone, 1 / (1 + math.exp(float(np.clip(-odds, -50, 50))))
 
     def _default(self, record: Record, count: int, rng: np.random.Generator) -> list[Candidate]:
         s = self.settings
-        costs = CostModel(record)
+        costs = self._costs(record)
         paid = spent(record, costs)
         at_top = self._paid_at_top(record, costs)
         budget = math.inf if s.cost_budget is None else s.cost_budget
@@ -148,9 +170,11 @@ class CMFBO(Strategy):
             ):
                 break
             turn = len(record.asked) + len(found)
-            top_only = not informative or left < RESERVE * costs.at(1.0) or at_top < s.share * (paid - free)
+            scarce = left < self.reserve * costs.at(1.0)
+            top_only = not informative or scarce or at_top < s.share * (paid - free)
             info: dict[str, Any]
-            if turn < start:
+            # a budget too small for the start still has to bring an answer; what is small is known once costs are
+            if turn < start and not (scarce and record.cost.any()):
                 u = next_sobol(self.space, asked, 1, s.seed)[0]
                 z = s.start_z
                 info = {"mode": "start"}
@@ -168,6 +192,10 @@ class CMFBO(Strategy):
             at_top += costs.at(z) if z == 1.0 else 0.0
             model.believe(u[None, :], np.array([z]))
         return found
+
+    def _costs(self, record: Record) -> CostModel:
+        """What evaluations are expected to cost."""
+        return CostModel(record)
 
     def _easy_phase(self, costs: CostModel) -> float:
         """The cost up to which the search learns the easy task first."""
@@ -206,7 +234,7 @@ class CMFBO(Strategy):
         return float(LEVELS[int(np.argmax(worth))])
 
     def _parent(self, model: ValueModel, record: Record, u: Array, z: float) -> int | None:
-        """The observation with the highest kernel correlation with (u, z), if above `PARENT`; never a harder one."""
+        """The observation with the highest kernel correlation with (u, z), if above `likeness`; never a harder one."""
         rows = np.flatnonzero(record.complete & (record.z <= z + 1e-9))
         if not len(rows):
             return None
@@ -214,7 +242,7 @@ class CMFBO(Strategy):
         there = model.coordinates(record.X[rows], record.z[rows])
         correlation = model.gp.kinship(here, there)[0]
         best = int(np.argmax(correlation))
-        return int(rows[best]) if correlation[best] >= PARENT else None
+        return int(rows[best]) if correlation[best] >= self.likeness else None
 
 
 def to_beat(model: ValueModel, asked: Array, z: float) -> float:
@@ -240,7 +268,3 @@ GATE = 3
 """From so many observations at z = 1 on it is asked whether easy levels help."""
 PRIOR_ODDS = 0.5
 """Log odds, beforehand, that easy levels help."""
-RESERVE = 3.0
-"""The last so many full evaluations of a budget are spent at z = 1."""
-PARENT = 0.3
-"""Least kernel correlation at which a policy is worth starting from."""

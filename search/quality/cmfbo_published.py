@@ -1,5 +1,7 @@
 """Curriculum multi-fidelity Bayesian optimisation as printed: Algorithms 3 and 4.
 
+Source: Yang and Yin 2021, Efficient Hyperparameter Optimization for Physics-based Character Animation.
+
 Glossary: f(x, z) the objective of settings x at difficulty z; k((x, z), (x', z')) = k_X(x, x') k_Z(z, z') the
 product of two Matern 5/2 kernels (equation 17 with the usual square root in its distance: as printed it is not
 positive definite); mu, sigma the posterior.

@@ -57,12 +57,21 @@ class FidelityProcess(ProductProcess):
 
     Args:
         centre: the mean difficulty zbar of the data that hyperparameters were fitted to; the rest as its parent.
+        trend: prior variance of the slope over the difficulty; 0 leaves the product alone.
     """
 
     def __init__(
-        self, X: Array, Y: Array, w: Array, amplitude: Array, noise: float | Array, mean: Array, centre: float = 1.0
+        self,
+        X: Array,
+        Y: Array,
+        w: Array,
+        amplitude: Array,
+        noise: float | Array,
+        mean: Array,
+        centre: float = 1.0,
+        trend: float = TREND,
     ) -> None:
-        self.centre = centre
+        self.centre, self.trend = centre, trend
         super().__init__(X, Y, w, amplitude, noise, mean)
 
     def kinship(self, A: Array, B: Array) -> Array:
@@ -72,15 +81,15 @@ class FidelityProcess(ProductProcess):
     def correlation_between(self, A: Array, B: Array) -> Array:
         """Both parts, ``n x m``."""
         a, b = A[:, -1] - self.centre, B[:, -1] - self.centre
-        return np.asarray(super().correlation_between(A, B) + TREND * a[:, None] * b[None, :])
+        return np.asarray(super().correlation_between(A, B) + self.trend * a[:, None] * b[None, :])
 
     def prior_variance(self, S: Array) -> Array:
         """1 and the trend's share, ``m``."""
-        return np.asarray(1 + TREND * (S[:, -1] - self.centre) ** 2)
+        return np.asarray(1 + self.trend * (S[:, -1] - self.centre) ** 2)
 
     def given(self, X: Array, Y: Array, noise: float | Array) -> Self:
         """The same hyperparameters with other data, ``p x (e + 1)`` and ``p x k``."""
-        return type(self)(X, Y, self.w, self.amplitude, noise, self.mean, self.centre)
+        return type(self)(X, Y, self.w, self.amplitude, noise, self.mean, self.centre, self.trend)
 
 
 def _matern_and_slope(square: Array) -> tuple[Array, Array]:
@@ -129,7 +138,9 @@ def negative_log_posterior(
     return value, gradient + gaps / spreads
 
 
-def fit_fidelity(XZ: Array, y: Array, owner: Sequence[int], prior: Prior, link: Prior, *, steps: int = 40) -> Fit:
+def fit_fidelity(
+    XZ: Array, y: Array, owner: Sequence[int], prior: Prior, link: Prior, *, trend: float = TREND, steps: int = 40
+) -> Fit:
     """The most probable hyperparameters.
 
     Args:
@@ -138,6 +149,7 @@ def fit_fidelity(XZ: Array, y: Array, owner: Sequence[int], prior: Prior, link: 
         owner: for each of the ``e`` coordinates the parameter it belongs to.
         prior: of the parameters' length scales, noise and amplitude.
         link: of the difficulty's length scale.
+        trend: prior variance of the slope over the difficulty.
         steps: L-BFGS iterations at most.
 
     Returns:
@@ -151,7 +163,7 @@ def fit_fidelity(XZ: Array, y: Array, owner: Sequence[int], prior: Prior, link: 
         return fallback
     D = squared_gaps(XZ, which)
     z = XZ[:, -1] - XZ[:, -1].mean()
-    T = TREND * np.outer(z, z)
+    T = trend * np.outer(z, z)
     bounds = [(v - 4, v + 3.5) for v in start[:-1]] + [(math.log(1e-6), math.log(2.0))]
     try:
         with warnings.catch_warnings():

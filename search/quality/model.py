@@ -7,15 +7,16 @@ the parameters followed by one for the difficulty; ``mu`` and ``sigma`` the post
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from search.quality.fidelity import FidelityProcess, fit_fidelity
+from search.quality.fidelity import TREND, FidelityProcess, fit_fidelity
 from search.record import Record
 from search.space import Array, Space
-from search.surrogate.fit import Fit, Prior
+from search.surrogate.fit import Fit, Prior, keep
 from search.surrogate.subset import farthest_first
 
 FIT_POINTS = 200
@@ -39,12 +40,12 @@ class Scale:
         return np.asarray((value - self.middle) / self.spread - self.trend * (z - 1))
 
 
-def standardise(value: Array, z: Array) -> Scale:
-    """Median-free and plain: mean and deviation after a ridge regression on the difficulty."""
+def standardise(value: Array, z: Array, *, trend: bool = True) -> Scale:
+    """Median-free and plain: mean and deviation after a ridge regression on the difficulty, or without a `trend`."""
     if not len(value):
         return Scale(0.0, 1.0, 0.0)
     gap = z - z.mean()
-    slope = float(gap @ (value - value.mean()) / (gap @ gap + 0.1))
+    slope = float(gap @ (value - value.mean()) / (gap @ gap + 0.1)) if trend else 0.0
     middle = float(value.mean() + slope * (1 - z.mean()))
     spread = float(np.std(value - slope * gap)) if len(value) > 1 else 0.0
     spread = spread if spread > 1e-12 else 1.0
@@ -74,18 +75,19 @@ class ValueModel:
         space: parameters.
         record: what is known.
         fitted: hyperparameters of ``e + 1`` model coordinates, the last of them the difficulty.
+        trend: prior variance of the slope over the difficulty, as fitted with; 0: neither kernel nor mean has one.
     """
 
-    def __init__(self, space: Space, record: Record, fitted: Fit) -> None:
+    def __init__(self, space: Space, record: Record, fitted: Fit, *, trend: float = TREND) -> None:
         self.space = space
         value = imputed(record)
-        self.scale = standardise(value, record.z)
+        self.scale = standardise(value, record.z, trend=trend > 0)
         XZ = self.coordinates(record.X, record.z)
         rows = choose_rows(XZ, value, record.z, MODEL_POINTS)
         y = self.scale.to_y(value[rows], record.z[rows])[:, None]
         centre = float(record.z[rows].mean()) if len(rows) else 1.0
         self.gp = FidelityProcess(
-            XZ[rows], y, fitted.w, np.array([fitted.amplitude]), fitted.noise, np.zeros(1), centre
+            XZ[rows], y, fitted.w, np.array([fitted.amplitude]), fitted.noise, np.zeros(1), centre, trend
         )
         self.noise = fitted.noise
 
@@ -137,16 +139,34 @@ class ValueModel:
         return np.asarray(np.clip(gain / max(top, 1e-12), 0, 1))
 
 
-def fit_values(space: Space, record: Record, length: float, fidelity_length: float) -> Fit:
-    """Hyperparameters of the objective's surrogate, difficulty included as the last coordinate."""
+def fit_values(
+    space: Space,
+    record: Record,
+    length: float,
+    fidelity_length: float,
+    *,
+    trend: float = TREND,
+    believed: Callable[[Prior], Prior] = keep,
+) -> Fit:
+    """Hyperparameters of the objective's surrogate, difficulty included as the last coordinate.
+
+    Args:
+        space: parameters.
+        record: what is known.
+        length: what the prior median of the parameters' length scales is relative to.
+        fidelity_length: likewise, of the difficulty's.
+        trend: prior variance of the slope over the difficulty.
+        believed: what is made of the priors; as they are, or `flat`.
+    """
     value = imputed(record)
-    scale = standardise(value, record.z)
+    scale = standardise(value, record.z, trend=trend > 0)
     XZ = np.concatenate([space.encode(record.X), record.z[:, None]], 1)
     rows = choose_rows(XZ, value, record.z, FIT_POINTS)
     return fit_fidelity(
         XZ[rows],
         scale.to_y(value[rows], record.z[rows]),
         space.owner,
-        Prior(length=LENGTH * length, length_spread=0.5, noise=1e-3, noise_spread=1.5, amplitude=1.0),
-        Prior(length=LINK * fidelity_length, length_spread=0.8),
+        believed(Prior(length=LENGTH * length, length_spread=0.5, noise=1e-3, noise_spread=1.5, amplitude=1.0)),
+        believed(Prior(length=LINK * fidelity_length, length_spread=0.8)),
+        trend=trend,
     )

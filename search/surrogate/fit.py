@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
@@ -39,6 +39,16 @@ class Prior:
     noise_spread: float = 1.5
     amplitude: float = 1.0
     amplitude_weight: float = 4.0
+
+
+def keep(prior: Prior) -> Prior:
+    """The prior as it is."""
+    return prior
+
+
+def flat(prior: Prior) -> Prior:
+    """The same start and bounds without an opinion: maximum likelihood. Benchmarks measure with it what priors give."""
+    return replace(prior, length_spread=1e3, noise_spread=1e3, amplitude_weight=1e-6)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,11 @@ from collections.abc import Callable, Collection, Mapping
 from fastapi import FastAPI
 
 from services.api import health, insights, monitoring, pulse, reference, routes, sockets, trials
+from services.api.answers import Answers
 from services.api.distinct import Distinct
 from services.api.errors import add_error_handlers
 from services.api.guard import Guard, Hosts
+from services.api.known import KnownStudies
 from services.api.live import Hub
 from services.api.looks import Looks
 from services.api.parameters import ERRORS
@@ -63,9 +65,11 @@ def create_api(
         on_change or (lambda: None),
         Hub(store),
         finished,
+        KnownStudies(store),
         Finder(store, finished),
         Distinct(store),
         Looks(store, finished),
+        Answers(store),
         dict(pools or {}),
     )
     add_error_handlers(app)

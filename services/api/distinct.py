@@ -12,6 +12,8 @@ from services.store.port import Store, StudyRow, TrialRow
 if TYPE_CHECKING:
     from services.report import Finding
 
+MOST_STEPS = 100
+"""Trials that are added one by one; more of them are grouped faster together with all others."""
 REMEMBERED = 256
 """Studies whose strategies are kept."""
 
@@ -36,9 +38,18 @@ class Distinct:
             length, found = self._known.pop(key, (-1, None))
             if length != len(history):
                 # The search's geometry: a server that nobody asks need not load it.
-                from services.report import behaviour_of, distinct_trials  # noqa: PLC0415
+                from services.report import behaviour_of, distinct_trials, distinct_with  # noqa: PLC0415
 
-                found = None if behaviour_of(study) is None else distinct_trials(study, history)
+                if behaviour_of(study) is None:
+                    found = None
+                elif found is None or not 0 < len(history) - length <= MOST_STEPS:
+                    found = distinct_trials(study, history)
+                else:
+                    for trial in history[length:]:
+                        found = distinct_with(study, found, trial)
+                        if found is None:
+                            found = distinct_trials(study, history)
+                            break
             self._known[key] = (len(history), found)
             while len(self._known) > REMEMBERED:
                 self._known.popitem(last=False)

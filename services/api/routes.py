@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Response
 from sqlalchemy.engine import make_url
 
 from services.amending import checked
@@ -23,7 +23,7 @@ from services.api.models import (
     Submission,
 )
 from services.api.parameters import ERRORS, LARGEST_ID, AfterEvent, Limit, Study
-from services.api.service import Uses
+from services.api.service import Service, Uses
 from services.errors import BadInput
 from services.store.port import TrialRow
 from services.version import halma_version
@@ -118,14 +118,20 @@ def extend(service: Uses, study: Study, more: Extension) -> StudyOut:
     return StudyOut.of(service.store.study(study))
 
 
-@router.get("/studies/{study}/strategies", tags=["studies"])
-def strategies(service: Uses, study: Study, page: PageCursor = None, limit: Limit = 200) -> StrategyList:
+@router.get("/studies/{study}/strategies", tags=["studies"], response_model=StrategyList)
+async def strategies(service: Uses, study: Study, page: PageCursor = None, limit: Limit = 200) -> Response:
     """The distinct strategies that a study has found, best first; none where its task has no behaviour."""
+    return await service.answers.json(
+        ("strategies", study, page, limit), lambda: _strategies(service, study, page, limit)
+    )
+
+
+def _strategies(service: Service, study: str, page: str | None, limit: int) -> StrategyList:
     # The search's geometry comes with torch, which takes a second to import, once.
     from services.report import Finding, behaviour_of  # noqa: PLC0415
 
     cursor, history = service.store.last_event(), service.store.history_id()
-    row = service.store.study(study)
+    row = service.studies.study(study)
     behaviour = behaviour_of(row)
     if behaviour is None:
         return StrategyList(cursor=cursor, history=history, distance=None, strategies=[], next=None)

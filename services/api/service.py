@@ -9,7 +9,9 @@ from typing import Annotated, Protocol, cast
 from fastapi import Depends
 from fastapi.requests import HTTPConnection
 
+from services.api.answers import Answers
 from services.api.distinct import Distinct
+from services.api.known import KnownStudies
 from services.api.live import Hub
 from services.api.looks import Looks
 from services.api.tables import FinishedTrials
@@ -42,9 +44,11 @@ class Service:
         on_change: called after something was asked for, so that a driver need not poll fast.
         hub: live events.
         trials: the finished trials of the studies last asked for.
+        studies: with their counts.
         finder: sorts and filters trials.
         distinct: strategies of studies.
         looks: what searches have learnt.
+        answers: what many people ask for.
         pools: cores by worker pool; empty where this server doesn't know them.
     """
 
@@ -54,9 +58,11 @@ class Service:
     on_change: Callable[[], None]
     hub: Hub
     trials: FinishedTrials
+    studies: KnownStudies
     finder: Finder
     distinct: Distinct
     looks: Looks
+    answers: Answers
     pools: Mapping[str, int]
 
     def changed(self) -> None:

@@ -6,7 +6,6 @@ import re
 from pathlib import PurePosixPath
 from typing import Annotated
 
-import pydantic_core
 from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
@@ -50,7 +49,7 @@ def trials(
     state: Annotated[list[TrialState] | None, Query(description="only trials in these states")] = None,
 ) -> TrialPage:
     """Trials by number, a page at a time."""
-    row = service.store.study(study)
+    row = service.studies.study(study)
     if page is not None:
         after = max(after, *key_of("trials", page, int))
     found = service.store.trials(row.id, states=state, after=after, limit=limit + 1)
@@ -58,8 +57,8 @@ def trials(
     return TrialPage(trials=[TrialOut.of(trial) for trial in rows], next=following)
 
 
-@router.get("/studies/{study}/window", tags=["trials"])
-def trial_window(
+@router.get("/studies/{study}/window", tags=["trials"], response_model=TrialWindow)
+async def trial_window(
     service: Uses,
     study: Study,
     sort: Sort = "number",
@@ -67,27 +66,33 @@ def trial_window(
     where: Where = None,
     offset: Annotated[int, Query(ge=0, le=LARGEST_ID, description="rows before the first one wanted")] = 0,
     limit: Limit = 100,
-) -> TrialWindow:
+) -> Response:
     """The rows of a table that a screen shows: filtered and sorted here, so that 50,000 trials stay where they are."""
-    found = service.finder.find(service.store.study(study), sort, state, where or [])
-    return TrialWindow(
-        cursor=found.cursor,
-        history=found.history,
-        count=found.count,
-        matched=len(found.trials),
-        offset=offset,
-        trials=[TrialOut.of(trial) for trial in found.trials[offset : offset + limit]],
-    )
+
+    def rows() -> TrialWindow:
+        found = service.finder.find(service.studies.study(study), sort, state, where or [])
+        return TrialWindow(
+            cursor=found.cursor,
+            history=found.history,
+            count=found.count,
+            matched=len(found.trials),
+            offset=offset,
+            trials=[TrialOut.of(trial) for trial in found.trials[offset : offset + limit]],
+        )
+
+    question = ("window", study, sort, frozenset(state or ()), tuple(where or ()), offset, limit)
+    return await service.answers.json(question, rows)
 
 
 @router.get("/studies/{study}/table", tags=["trials"], response_model=TrialTable)
-def trial_table(service: Uses, study: Study) -> Response:
+async def trial_table(service: Uses, study: Study) -> Response:
     """All trials as columns, for tables and charts."""
-    cursor, history = service.store.last_event(), service.store.history_id()
-    rows = service.trials.all_trials(service.store.study(study))
-    # Encoded by hand: validating 50,000 rows of our own making would take longer than reading them.
-    body = pydantic_core.to_json(table(rows, cursor=cursor, history=history))
-    return Response(body, media_type="application/json")
+
+    def columns() -> TrialTable:
+        cursor, history = service.store.last_event(), service.store.history_id()
+        return table(service.trials.all_trials(service.studies.study(study)), cursor=cursor, history=history)
+
+    return await service.answers.json(("table", study), columns)
 
 
 @router.get("/studies/{study}/trials.csv", tags=["trials"], response_class=StreamingResponse)
@@ -100,7 +105,7 @@ def trials_csv(
     column: Columns = None,
 ) -> StreamingResponse:
     """Trials as CSV: all of them, or those that pass, with all columns or the chosen ones."""
-    row = service.store.study(study)
+    row = service.studies.study(study)
     rows = service.finder.find(row, sort, state, where or []).trials
     features = {f"features.{i}": name for i, name in enumerate((row.spec.get("behaviour") or {}).get("names", ()))}
     chosen = [(features.get(name, name), reader(name, "column")) for name in column or []]
@@ -123,7 +128,7 @@ def one_trial(service: Uses, study: Study, number: Number) -> TrialDetail:
 
 
 def _trial(service: Uses, study: str, number: int) -> TrialRow:
-    return service.store.trial(service.store.study(study).id, number)
+    return service.store.trial(service.studies.study(study).id, number)
 
 
 @router.get("/studies/{study}/trials/{number}/metrics", tags=["trials"])
@@ -159,7 +164,7 @@ def artifacts(service: Uses, study: Study, number: Number, page: PageCursor = No
 @router.get("/studies/{study}/artifacts", tags=["artifacts"])
 def study_artifacts(service: Uses, study: Study, page: PageCursor = None, limit: Limit = 200) -> LeftPage:
     """What all trials of a study left, by trial and name, a page at a time."""
-    row = service.store.study(study)
+    row = service.studies.study(study)
     numbers = {trial.id: trial.number for trial in service.trials.all_trials(row)}
     left = [
         (numbers[each.trial_id], each) for each in service.store.study_artifacts(row.id) if each.trial_id in numbers

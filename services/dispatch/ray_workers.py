@@ -10,10 +10,12 @@ from __future__ import annotations
 import os
 import queue
 import sys
+import threading
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ from services.artifacts import open_artifacts
 from services.dispatch.hosts import DEFAULT_POOL, Hosts, best_fit, pool_resource
 from services.dispatch.port import (
     Assignment,
+    Began,
     Deliver,
     Message,
     Stopped,
@@ -39,10 +42,48 @@ from services.dispatch.sweeper import Sweeper
 from services.shipping import Bundle, collect, unpack
 
 Mailbox = Any
-"""An actor handle with a method `receive(text)`."""
+"""An actor handle with a method `receive(texts)`."""
 
 BATCH = 256
 """At most so many messages share a commit, so that a flood doesn't hold the write lock for long."""
+
+
+BEGAN_SECONDS = 0.05
+"""So long the news that an attempt has been taken up waits for company: of a short training one message tells all."""
+
+
+class Outbox:
+    """Sends messages to the mailbox, in order; each costs both sides more than most of what it says.
+
+    Args:
+        mailbox: who is told.
+    """
+
+    def __init__(self, mailbox: Mailbox) -> None:
+        self._mailbox = mailbox
+        self._held: list[str] = []
+        self._lock = threading.Lock()
+
+    def send(self, message: Message) -> None:
+        """Send it now, or `Began` with what comes next. From any thread."""
+        with self._lock:
+            self._held.append(encode(message))
+            if not isinstance(message, Began):
+                self._flush()
+                return
+        later = threading.Timer(BEGAN_SECONDS, self.flush)
+        later.daemon = True
+        later.start()
+
+    def flush(self) -> None:
+        """Send what is held back."""
+        with self._lock:
+            self._flush()
+
+    def _flush(self) -> None:
+        held, self._held = self._held, []
+        if held:
+            self._mailbox.receive.remote(held)
 
 
 class Worker:
@@ -69,7 +110,7 @@ class Worker:
         places = [directory] if keeper is None else [str(unpack(Bundle(*code)))] if code is not None else []
         sys.path[:0] = [place for place in places if place not in sys.path]
         self._artifacts = artifacts_here(artifact_root, identity, keeper)
-        self._mailbox = mailbox
+        self._outbox = Outbox(mailbox)
         self._running: Attempt | None = None
         self._stopped: int | None = None
 
@@ -80,13 +121,15 @@ class Worker:
     def run(self, text: str) -> None:
         """Run an attempt to its end; all that is to be known goes to the mailbox."""
         assignment = decode_assignment(text)
-        self._running = Attempt(assignment, self._artifacts, self._send)
+        attempt = self._running = Attempt(assignment, self._artifacts, self._outbox.send)
         if self._stopped == assignment.attempt:
-            self._running.stop()
+            attempt.stop()
         try:
-            self._running.run()
+            attempt.run()
         finally:
-            self._running = None
+            # Its end has been told, so the next one may have begun in the other thread.
+            if self._running is attempt:
+                self._running = None
 
     def stop(self, attempt: int) -> None:
         """Ask the attempt to stop at its next checkpoint, also where `run` has not been reached yet."""
@@ -95,8 +138,11 @@ class Worker:
         if running is not None and running.assignment.attempt == attempt:
             running.stop()
 
-    def _send(self, message: Message) -> None:
-        self._mailbox.receive.remote(encode(message))
+
+@cache
+def _remote_worker() -> Any:
+    """The actor class. Made once: Ray reads the class through, for a third of a second, each time that it is made."""
+    return ray.remote(Worker)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,9 +192,10 @@ class RayDispatcher:
     _keeper: Keeper | None = None
     _sweeper: Sweeper | None = None
 
-    def put(self, text: str) -> None:
-        """A message has arrived. Called from the mailbox's thread."""
-        self._inbox.put(decode(text))
+    def put(self, texts: Sequence[str]) -> None:
+        """Messages have arrived. Called from the mailbox's thread."""
+        for text in texts:
+            self._inbox.put(decode(text))
 
     def wake(self) -> None:
         """Make a waiting `poll` return: something else has become ready."""
@@ -225,7 +272,7 @@ class RayDispatcher:
     def _new_slot(self, host: str, shape: _Shape, bundle: Bundle | None) -> _Slot:
         resources = {} if shape.pool == DEFAULT_POOL else {pool_resource(shape.pool): shape.cpus}
         # Two threads, so that `stop` gets through while `run` runs.
-        shaped = ray.remote(Worker).options(
+        shaped = _remote_worker().options(
             num_cpus=shape.cpus,
             resources=resources,
             max_concurrency=2,
@@ -251,8 +298,6 @@ class RayDispatcher:
             if error is not None:
                 reason = f"its worker process ended ({type(error).__name__})"
                 self._inbox.put(Vanished(assignment.attempt, assignment.token, reason))
-            else:
-                self._inbox.put(None)
 
         return over
 

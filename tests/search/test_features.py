@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from search import BadFeatures, Features, distinct
+from search import BadFeatures, Features, cluster_joined, distinct
 
 
 def test_hand_worked_distances():
@@ -124,3 +124,34 @@ def test_clusters_agree_with_a_slow_obvious_version(pairs, threshold):
         abs(abs(math.remainder(a - b, 2 * math.pi)) - threshold) < 1e-9 for a, _ in pairs for b, _ in pairs
     )
     assert near_the_threshold or [(c.representative, c.members) for c in found] == slow
+
+
+@given(outcomes, st.floats(0.01, 2))
+def test_one_more_outcome_joins_the_cluster_that_grouping_all_anew_puts_it_in(pairs, threshold):
+    metric = Features.circle()
+    Y, values = [[a] for a, _ in pairs], [v for _, v in pairs]
+    before = distinct(Y[:-1], values[:-1], metric, threshold)
+    after = distinct(Y, values, metric, threshold)
+    place = cluster_joined(
+        Y[-1],
+        values[-1],
+        [Y[c.representative] for c in before],
+        [values[c.representative] for c in before],
+        metric,
+        threshold,
+    )
+    last = len(pairs) - 1
+    if place is None:
+        assert last in [c.representative for c in after]
+    else:
+        grown = [(c.representative, c.members + ((last,) if i == place else ())) for i, c in enumerate(before)]
+        assert [(c.representative, c.members) for c in after] == grown
+
+
+def test_of_two_equal_outcomes_the_earlier_one_leads_and_a_better_one_leads_itself():
+    circle = Features.circle()
+    assert cluster_joined([0.0], 1.0, [[0.0], [2.0]], [1.0, 0.5], circle, 0.3) == 0
+    # Just as good, and before it in the order of features.
+    assert cluster_joined([-0.1], 1.0, [[0.0], [2.0]], [1.0, 0.5], circle, 0.3) is None
+    assert cluster_joined([2.1], 0.6, [[0.0], [2.0]], [1.0, 0.5], circle, 0.3) is None
+    assert cluster_joined([2.1], float("nan"), [[0.0], [2.0]], [1.0, 0.5], circle, 0.3) == 1

@@ -8,7 +8,7 @@ import pytest
 from optuna.testing import pytest_samplers
 from optuna.testing.pytest_samplers import BasicSamplerTestCase, RelativeSamplerTestCase, SingleOnlySamplerTestCase
 
-from search import BadFeatures, Features
+from search import BadFeatures, Features, SearchError
 from search.optuna_samplers import BDSSampler, CMFBOSampler
 
 
@@ -70,3 +70,10 @@ def test_a_behaviour_comes_from_a_user_attribute_and_its_absence_is_an_error():
     silent = optuna.create_study(sampler=BDSSampler(Features.circle(), seed=0))
     with pytest.raises(BadFeatures, match="trial 0: expected its behaviour in the user attribute 'features'"):
         silent.optimize(lambda trial: trial.suggest_float("x", -3, 3), n_trials=3)
+
+
+def test_a_budget_that_is_used_up_ends_the_study_with_what_to_do():
+    study = optuna.create_study(sampler=CMFBOSampler(seed=0, settings={"cost_budget": 4.0}))
+    with pytest.raises(SearchError, match="after 4 trials, found its budget used up; raise it"):
+        study.optimize(lambda trial: trial.suggest_float("x", -3, 3), n_trials=9)
+    assert len([t for t in study.trials if t.state == optuna.trial.TrialState.COMPLETE]) == 4

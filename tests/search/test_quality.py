@@ -249,6 +249,31 @@ def test_in_a_batch_no_point_is_asked_twice():
     assert len(asked) == len(history)
 
 
+@pytest.mark.parametrize("budget", [0.7, 1.5, 3.0, 6.0])
+@pytest.mark.parametrize("batch", [1, 4])
+def test_however_small_the_budget_cmfbo_ends_with_an_answer_at_full_difficulty(budget, batch):
+    space = Space({f"x{i}": Float(0, 1) for i in range(12)})  # the start alone would cost 13 easy evaluations
+    made = make_strategy("cmfbo", space, settings={"cost_budget": budget})
+    history = []
+    while found := made.propose(history, [], batch, np.random.default_rng(len(history))):
+        history += [Observation(c, value=-c.params["x0"] - c.z, cost=0.1 + 0.9 * c.z) for c in found]
+        assert len(history) < 40
+    assert history[made.recommend(history)].candidate.z == 1
+    assert sum(o.cost for o in history) < budget + batch
+
+
+def test_pending_trials_count_against_the_budget_and_are_not_asked_again():
+    made, history = study("cmfbo", budget=12.0)
+    history = history[:8]
+    pending = made.propose(history, [], 3, np.random.default_rng(0))
+    more = made.propose(history, pending, 3, np.random.default_rng(0))
+    asked = {(c.params["x"], c.params["y"], c.z) for c in [*pending, *more]}
+    assert len(asked) == 6
+    left = 12.0 - sum(o.cost for o in history)
+    running = [Candidate({"x": 0.1 + i / 40, "y": 0.5}, z=1.0) for i in range(math.ceil(left) + 1)]
+    assert made.propose(history, running, 1, np.random.default_rng(0)) == []
+
+
 def test_published_cmfbo_answers_over_all_difficulties_as_printed():
     made = make_strategy("cmfbo", BOX, settings={"variant": "published"})
     history = [

@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from workers.audit import audit
 from workers.physics.athlete import COORDINATES
+from workers.physics.limits import HUMAN, Limits
 from workers.physics.rotations import from_rotation_vector
 from workers.physics.world import Contacts
+from workers.replay import Recorder
 from workers.tasks.high_jump import rules, takeoff
 from workers.tasks.high_jump.env import HighJumpEnv
 from workers.tasks.high_jump.rules import Rules
@@ -111,7 +114,9 @@ def test_the_offset_bound_falls_from_48_to_15():
 
 def pushing(limit):
     """Reward and verdict of the jump of action 0 from the middle of the support, its push limited so."""
-    env = HighJumpEnv(HighJumpSettings().take_off({"alpha": 0.7, "v_z": -2.0}), push_limit=limit)
+    env = HighJumpEnv(
+        HighJumpSettings().take_off({"alpha": 0.7, "v_z": -2.0}), limits=None if limit is None else Limits(push=limit)
+    )
     env.reset(options={"level": 0.1})
     done = False
     while not done:
@@ -127,3 +132,48 @@ def test_in_training_a_jump_that_pushes_too_hard_fails_and_earns_little():
     assert (info["verdict"], info["success"], info["metrics"]["hard_push"]) == ("landed", False, 1.0)
     assert limited == pytest.approx(0.2 * free)
     assert pushing(100.0)[0] == free
+
+
+def jumping(limits, recorder=None):
+    """Reward and information of a wild jump over a low bar."""
+    env = HighJumpEnv(HighJumpSettings().take_off({"alpha": 0.7, "v_z": -2.0}), limits=limits, recorder=recorder)
+    env.reset(options={"level": 0.1})
+    action, done = np.zeros(28), False
+    action[takeoff.coordinate("left_hip", 2)] = 1.5
+    action[takeoff.coordinate("left_elbow")] = 2.0
+    while not done:
+        _, reward, done, _, info = env.step(action)
+    strain = env._strain()
+    env.close()
+    return reward, info, strain
+
+
+@pytest.mark.parametrize(("limit", "metric"), [("rate", "fast_joint"), ("angle", "bent_joint")])
+def test_in_training_a_jump_that_asks_too_much_of_a_joint_fails_and_earns_little(limit, metric):
+    free, info, _ = jumping(None)
+    assert (info["success"], info["metrics"][metric]) == (True, 0.0)
+    least = jumping(Limits(**{limit: 1.0}))[2].worst
+    assert least > 0
+    within, info, strain = jumping(Limits(**{limit: 1.01 * least}))
+    assert (within, info["success"], info["metrics"][metric]) == (free, True, 0.0)
+    assert strain.worst == pytest.approx(1 / 1.01)
+    beyond, info, _ = jumping(Limits(**{limit: 0.99 * least}))
+    assert (info["success"], info["metrics"][metric]) == (False, 1.0)
+    assert beyond == pytest.approx(0.2 * free)
+
+
+def test_what_a_training_sees_of_a_body_is_what_the_audit_finds():
+    recorder = Recorder(takeoff.TAKE_OFF_FOOT)
+    strain = jumping(HUMAN, recorder)[2]
+    found = {check.name: check for check in audit(recorder.replay()).checks}
+    # replays are of 32 bits
+    assert strain.push * HUMAN.push == pytest.approx(found["foot_push"].found, rel=1e-5)
+    assert strain.rate * HUMAN.rate == pytest.approx(found["joint_rate"].found, rel=1e-4)
+    assert strain.angle * HUMAN.angle == pytest.approx(found["joint_angle"].found, rel=1e-4)
+    assert found["joint_angle"].found > 0.01
+
+
+def test_a_body_of_nan_is_strained():
+    pose = np.zeros((6, 28))
+    pose[3, 5] = np.nan
+    assert not HUMAN.strain(1.0, pose, 1 / 120).worst <= 1

@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from PIL import Image
 from workers.contracts import BadJob, BadSetting, Interrupted, Job
 from workers.learning.policy import Policy
 from workers.local_context import LocalContext
+from workers.physics.limits import HUMAN
 from workers.registry import load_task
 from workers.replay import Replay
 from workers.run import run
@@ -107,7 +109,7 @@ def test_a_policy_that_clears_nothing_is_infeasible(tmp_path):
 
 
 def test_a_jump_that_the_audit_refuses_counts_for_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr("workers.audit.PUSH", -1.0)
+    monkeypatch.setattr("workers.audit.HUMAN", replace(HUMAN, push=-1.0))
     outcome = run(job(), LocalContext(tmp_path))
     assert outcome.status == "infeasible"
     assert "the audit refused every jump" in outcome.message

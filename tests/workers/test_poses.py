@@ -151,19 +151,26 @@ def env_of(file, **settings):
 def test_action_0_through_a_model_is_the_push_off_pose(model, file):
     env = env_of(file)
     assert env.action_space.shape == (model.latent + COORDINATES,)
+    env.reset()
     target, offset = env._aim(np.zeros(model.latent + COORDINATES))
-    env.close()
     assert target == pytest.approx(takeoff.push_off_pose())
     # and its offset is counted in full
     assert np.abs(offset).sum() > 2
+    # what pushes is needed no more in the air, where it is a natural pose
+    env.world.settle()
+    target, offset = env._aim(np.zeros(model.latent + COORDINATES))
+    env.close()
+    assert not offset.any()
+    assert target == pytest.approx(model.decode(model.encode(takeoff.natural_pose()[None]))[0])
 
 
 def test_an_action_is_a_decoded_pose_plus_an_offset(model, file):
     env = env_of(file)
     action = np.random.default_rng(0).normal(size=model.latent + COORDINATES)
-    latent = model.encode(takeoff.natural_pose()[None])[0] + action[: model.latent]
+    latent = model.encode(takeoff.natural_pose()[None])[0] + 3.0 * action[: model.latent]
     target, offset = env._aim(action)
     env.close()
+    assert offset == pytest.approx(0.5 * action[model.latent :])
     assert target - offset == pytest.approx(model.decode(latent[None])[0])
 
 

@@ -3,6 +3,7 @@ import sys
 import pytest
 
 from tests.workers.toy_environments import OwnTask
+from workers import registry
 from workers.contracts import BadJob
 from workers.registry import BUILT_IN, list_tasks, load_task, task_names
 from workers.tasks.function import FunctionTask
@@ -144,6 +145,11 @@ class TestEntryPoints:
     def test_a_packages_task_is_found_by_its_name(self, package):
         assert load_task("my_jump").info({}).summary == "A jump."
         assert "my_jump" in task_names()
+
+    def test_packages_are_looked_through_once_not_for_each_trial(self, package, monkeypatch):
+        load_task("my_jump")
+        monkeypatch.setattr(registry, "entry_points", lambda **_: pytest.fail("looked through again"))
+        assert load_task("my_jump").info({}).summary == "A jump."
 
     def test_one_that_fails_to_import_is_told_and_listed_as_such(self, package):
         with pytest.raises(TaskImportFailed, match="ZeroDivisionError: division by zero"):

@@ -4,8 +4,9 @@ import struct
 import numpy as np
 import pytest
 
-from workers.audit import audit, joint_rates
+from workers.audit import audit
 from workers.contracts import BadJob
+from workers.physics.limits import joint_rates
 from workers.replay import ARRAYS, Replay
 
 

@@ -91,6 +91,10 @@ _SURE_FACTOR = 2.2
 """A quaternion with w > 0.74 has a rotation vector of less than 2.2 times its (x, y, z)."""
 
 
+Command = tuple[list[list[float]], list[list[float]]]
+"""A pose that is pulled to, joint by joint: in joint coordinates, and as Bullet takes it."""
+
+
 class Athlete:
     """The athlete in one Bullet world.
 
@@ -126,12 +130,15 @@ class Athlete:
         self._still = [[0.0] * len(joint.low) for joint in joints]
         self._ranges = [(joint.low, joint.high) for joint in joints]
         self._surely_within = [
-            tuple((low / _SURE_FACTOR, high / _SURE_FACTOR) for low, high in zip(joint.low, joint.high, strict=True))
-            for joint in joints
+            tuple(bound / _SURE_FACTOR for axis in zip(joint.low, joint.high, strict=True) for bound in axis)
+            for joint in joints[: len(SPHERICAL)]
         ]
+        self._hinge_ranges = [(i, joint.low[0], joint.high[0]) for i, joint in enumerate(joints) if len(joint.low) == 1]
         self._held_within = held_within(joints)
         self._target: list[list[float]] = [[0.0] * len(joint.low) for joint in joints]
         self._command: list[list[float]] = []
+        self.seen: Sequence[Any] = ()
+        """Bullet's states of the joints when their ranges were last looked at, for `poses_of`."""
         self._free_the_joints()
         self.command(np.zeros(COORDINATES))
 
@@ -181,10 +188,8 @@ class Athlete:
     def pose(self) -> tuple[Array, Array]:
         """Joint coordinates and rates, ``[28]`` each."""
         states = bullet.getJointStatesMultiDof(self.body, self._joints, **self._k)
-        turned = rotations.to_rotation_vector(np.array([s[0] for s in states[: len(SPHERICAL)]]))
-        angles = [s[0][0] for s in states[len(SPHERICAL) :]]
         rates = [rate for s in states for rate in s[1]]
-        return np.concatenate([turned.ravel(), angles]), np.array(rates)
+        return poses_of([states])[0], np.array(rates)
 
     def links(self) -> Array:
         """State of each body ``[13, 13]``: centre of mass (m), orientation (x y z w), velocity, angular velocity."""
@@ -216,15 +221,26 @@ class Athlete:
         boxes = np.array([bullet.getAABB(self.body, j, **self._k) for j in range(-1, len(self._links))])
         return boxes[:, 0].min(0), boxes[:, 1].max(0)
 
+    def rear(self) -> float:
+        """Lowest x of all bodies, m: the part of `bounds` that is asked for at each frame of a landing."""
+        return float(min(bullet.getAABB(self.body, j, **self._k)[0][0] for j in range(-1, len(self._links))))
+
     def command(self, target: NDArray[Any]) -> None:
         """Set the pose ``[28]`` that the PD controllers pull to from now on. It may lie beyond the ranges."""
+        self.follow(self.commands(np.asarray(target, np.float64)[None])[0])
+
+    def commands(self, targets: NDArray[np.float64]) -> list[Command]:
+        """Poses ``[n, 28]`` made ready for `follow`, which takes less time than one `command` for each."""
         if self._held_within is not None:
-            target = np.clip(target, *self._held_within)
-        values: list[float] = np.asarray(target, np.float64).tolist()
-        self._target = [values[3 * i : 3 * i + 3] for i in range(len(SPHERICAL))]
-        self._target += [[value] for value in values[_TURNED:]]
-        quaternions = rotations.from_rotation_vector(np.asarray(target, np.float64)[:_TURNED].reshape(-1, 3))
-        self._command = quaternions.tolist() + self._target[len(SPHERICAL) :]
+            targets = np.clip(targets, *self._held_within)
+        balls = targets[:, :_TURNED].reshape(len(targets), -1, 3)
+        hinges = targets[:, _TURNED:, None].tolist()
+        quaternions = rotations.from_rotation_vector(balls).tolist()
+        return [(b + h, q + h) for b, h, q in zip(balls.tolist(), hinges, quaternions, strict=True)]
+
+    def follow(self, command: Command) -> None:
+        """Set what the PD controllers pull to from now on, one of `commands`."""
+        self._target, self._command = command
         self._limited = self._command
 
     def actuate(self, *, watch_limits: bool) -> None:
@@ -288,44 +304,51 @@ class Athlete:
         Plain Python, since numpy's overhead on so few numbers is several times the arithmetic.
         """
         limited, forces = list(self._command), list(self._muscles)
-        states = bullet.getJointStatesMultiDof(self.body, self._joints, **self._k)
-        for i, (state, (low, high), surely) in enumerate(zip(states, self._ranges, self._surely_within, strict=True)):
-            position = state[0]
-            if len(position) == 1:
-                angle = position[0]
-                if low[0] <= angle <= high[0]:
-                    continue
-                coordinates: tuple[float, ...] = position
-            else:
-                x, y, z, w = position
-                # most joints, most of the time: told by comparisons alone
-                (x0, x1), (y0, y1), (z0, z1) = surely
-                if w > _SURE_W and x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1:
-                    continue
-                if w < 0:
-                    x, y, z, w = -x, -y, -z, -w
-                length = math.sqrt(x * x + y * y + z * z)
-                factor = 2 * math.atan2(length, w) / length if length > 1e-8 else 2.0
-                coordinates = (x * factor, y * factor, z * factor)
-            self._restrain(i, coordinates, limited, forces)
+        states = self.seen = bullet.getJointStatesMultiDof(self.body, self._joints, **self._k)
+        for i, (x0, x1, y0, y1, z0, z1) in enumerate(self._surely_within):
+            x, y, z, w = states[i][0]
+            # most joints, most of the time: told by comparisons alone
+            if w > _SURE_W and x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1:
+                continue
+            if w < 0:
+                x, y, z, w = -x, -y, -z, -w
+            length = math.sqrt(x * x + y * y + z * z)
+            factor = 2 * math.atan2(length, w) / length if length > 1e-8 else 2.0
+            self._restrain(i, (x * factor, y * factor, z * factor), limited, forces)
+        for i, low, high in self._hinge_ranges:
+            position = states[i][0]
+            if not low <= position[0] <= high:
+                self._restrain(i, position, limited, forces)
         self._limited, self._forces = limited, forces
 
     def _restrain(
         self, i: int, coordinates: tuple[float, ...], limited: list[list[float]], forces: list[list[float]]
     ) -> None:
         """Change target and torque limit of joint `i` where its coordinates (rad) are beyond its range."""
-        low, high = self._ranges[i]
         moved: list[float] | None = None
         furthest = 0.0
-        for axis, value in enumerate(coordinates):
-            excess = max(value - high[axis], 0.0) + min(value - low[axis], 0.0)
-            if excess:
-                moved = moved or list(self._target[i])
-                moved[axis] = min(max(moved[axis], low[axis]), high[axis]) - excess
-                furthest = max(furthest, abs(excess))
+        for axis, (value, low, high) in enumerate(zip(coordinates, *self._ranges[i], strict=True)):
+            if value > high:
+                excess = value - high
+            elif value < low:
+                excess = value - low
+            else:
+                continue
+            moved = moved or list(self._target[i])
+            aim = moved[axis]
+            moved[axis] = (low if aim < low else min(aim, high)) - excess
+            furthest = max(furthest, abs(excess))
         if moved is not None:
-            limited[i] = moved if len(low) == 1 else _quaternion(moved)
-            forces[i] = [force * (1 + LIGAMENTS * furthest) for force in self._muscles[i]]
+            limited[i] = moved if len(coordinates) == 1 else _quaternion(moved)
+            share = 1 + LIGAMENTS * furthest
+            forces[i] = [force * share for force in self._muscles[i]]
+
+
+def poses_of(seen: Sequence[Sequence[Any]]) -> Array:
+    """Poses ``[n, 28]`` of what `Athlete.seen` was at n times."""
+    quaternions = np.array([[s[0] for s in states[: len(SPHERICAL)]] for states in seen])
+    hinges = np.array([[s[0][0] for s in states[len(SPHERICAL) :]] for states in seen])
+    return np.concatenate([rotations.to_rotation_vector(quaternions).reshape(len(seen), -1), hinges], 1)
 
 
 def ranges(joints: Sequence[Joint]) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_TINY = 1e-20
 IDENTITY: Array = np.array([0.0, 0.0, 0.0, 1.0])
 
 
@@ -41,9 +42,14 @@ def conjugate(q: NDArray[Any]) -> Array:
 def from_rotation_vector(e: NDArray[Any]) -> Array:
     """Quaternions ``[..., 4]`` of rotation vectors ``[..., 3]``."""
     e = np.asarray(e, np.float64)
-    angle = np.linalg.norm(e, axis=-1, keepdims=True)
-    # sin(angle / 2) / angle by numpy's sinc, which is exact at 0
-    return np.concatenate([e * (0.5 * np.sinc(angle / (2 * np.pi))), np.cos(angle / 2)], -1)
+    # by numpy's plainest functions: this is called for every new target, and few numbers are turned at a time
+    angle = np.sqrt(np.add.reduce(e * e, -1, keepdims=True))
+    half = np.pi * (angle / (2 * np.pi))
+    half[angle == 0] = np.pi * _TINY  # sin(half) / half is then exactly 1
+    q = np.empty((*e.shape[:-1], 4))
+    np.multiply(e, 0.5 * (np.sin(half) / half), out=q[..., :3])
+    np.cos(angle / 2, out=q[..., 3:])
+    return q
 
 
 def to_rotation_vector(q: NDArray[Any]) -> Array:

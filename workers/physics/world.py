@@ -222,6 +222,15 @@ class World:
         """Whether the athlete bears on the ground (or did until a moment ago)."""
         return self._since_ground < _LOADED_AFTER_CONTACT
 
+    @property
+    def since_ground(self) -> float:
+        """Seconds since the athlete last touched the ground, inf before it ever did."""
+        return self._since_ground
+
+    def resume(self, since_ground: float) -> None:
+        """Say when the athlete, just placed, last touched the ground: what `since_ground` was then."""
+        self._since_ground = since_ground
+
     def stand(self) -> None:
         """Say that the athlete bears on the ground from the first step on."""
         self._since_ground = 0.0
@@ -249,10 +258,13 @@ class World:
 
     def _look(self, seen: Contacts, dt: float, share: float) -> None:
         """Add the contacts of the step just made to those `seen` in its frame."""
-        force = 0.0
         self._since_ground += dt
         body = self.athlete.body
-        for point in bullet.getContactPoints(body, **self._k):
+        points = bullet.getContactPoints(body, **self._k)
+        if not points:
+            return
+        force = 0.0
+        for point in points:
             distance = point[8]
             if distance > _TOUCH:
                 continue

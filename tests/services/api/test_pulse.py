@@ -7,7 +7,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from services.api.distinct import Distinct
 from services.api.pulse import POINTS, pace, spark
+from services.api.tables import FinishedTrials
+from services.report import distinct_trials
 from services.states import StudyState, TrialState
 from tests.record import Record
 
@@ -66,3 +69,21 @@ def test_several_studies_in_one_request(client, store, artifacts, record):
     record.one(value=0.9, features=(-2.0,))
     (again,) = client.get("/api/v1/pulse", params={"study": "jump"}).json()["pulses"]
     assert (again["best"][-1], again["distinct"]) == (0.9, 3)
+
+
+def test_strategies_that_grow_trial_by_trial_are_those_of_all_trials(store, record):
+    """In every step the same as grouping all of them: joining one, leading one, refused by the audit, failed."""
+    distinct, trials = Distinct(store), FinishedTrials(store)
+    angles = [0.0, 0.1, 3.0, 2.9, -3.1, 0.3, 1.5, 0.45, 0.2]
+    values = [0.5, 0.4, 0.3, 0.6, 0.1, 0.9, 0.2, 0.8, None]
+    for angle, value in zip(angles, values, strict=True):
+        if value is None:
+            record.one(iterations=1, files=(), state=TrialState.FAILED, message="broke")
+        else:
+            record.one(iterations=1, files=(), value=value, features=(angle,))
+        study = store.study("jump")
+        history = trials.history(study)
+        assert distinct.of(study, history) == distinct_trials(study, history)
+    assert [finding.trial.value for finding in distinct.of(study, history)] == [0.9, 0.6, 0.2]
+    # Somebody who read the record a moment earlier gets what was true of it.
+    assert distinct.of(study, history[:2]) == distinct_trials(study, history[:2])

@@ -27,8 +27,6 @@ _FORMULATION = Rule("str", choices=("support", "flight"))
 _FEATURE = Rule("str", choices=("facing", "rotation"))
 _CURRICULUM = Rule("str", choices=("success", "reward"))
 _CAST = Rule("str", choices=("none", "take_off", "swing"))
-_MOST = {"rad": 3.2, "rad/s": 15.0, "m/s": 8.0}
-"""Largest amounts of a take-off state, by their units."""
 Actions = Literal["offset", "pose"]
 CurriculumName = Literal["success", "reward"]
 
@@ -78,6 +76,7 @@ class JumpSettings(ABC):
         take_off_leg: torque of the take-off leg's hip, knee and ankle over the usual one.
         spine: `free`, or `stiff`: it doesn't bend back.
         cast: which leg's knee is in a cast that keeps it all but straight: `none`, `take_off` or `swing`.
+        run_up: whether the athlete runs up to the take-off state, and jumps from where that arrives; `support` only.
         poses: file of the pose model, of `halma poses train`; None: the model of the packaged clips.
     """
 
@@ -109,6 +108,7 @@ class JumpSettings(ABC):
     cast: Cast = dataclasses.field(
         default="none", metadata={"rule": Rule("str", choices=("none", "take_off", "swing"))}
     )
+    run_up: bool = setting(False, Rule("bool"))
     poses: str | None = setting(None, Rule("path", optional=True))
 
     @classmethod
@@ -131,6 +131,10 @@ class JumpSettings(ABC):
                 SECTION,
                 "control_rate_hard",
                 f"expected at least control_rate, which is {self.control_rate}, found {self.control_rate_hard}",
+            )
+        if self.run_up and self.formulation != "support":
+            raise BadSetting(
+                SECTION, "run_up", "expected none with formulation: flight, which begins after it; write support"
             )
         if self.poses is not None and self.actions != "pose":
             raise BadSetting(SECTION, "poses", "expected none with actions: offset, found one; write actions: pose")
@@ -211,18 +215,18 @@ class JumpSettings(ABC):
     def values_of(cls, params: Mapping[str, Scalar]) -> dict[str, float]:
         """All parameters of a candidate; those that it lacks are in the middle of their range.
 
-        Raises `BadSetting` for one that no athlete takes off with. The ranges of `parameters` are where a search looks
-        by default, and no such limits: a published take-off state lies outside of them.
+        Raises `BadSetting` for one that no athlete takes off with (`least` and `most` of `parameters`; `low` and `high`
+        are where a search looks by default: a published take-off state lies outside of them).
         """
         values = {
             name: float(params.get(name, (float(spec.low or 0) + float(spec.high or 0)) / 2))
             for name, spec in cls.parameters.items()
         }
         for name, value in values.items():
-            most = _MOST[cls.parameters[name].unit]
-            if not abs(value) <= most:
-                unit = cls.parameters[name].unit
-                raise BadSetting("space", name, f"expected from {-most:g} to {most:g} {unit}, found {value:g}")
+            spec = cls.parameters[name]
+            if not float(spec.least or 0) <= value <= float(spec.most or 0):
+                message = f"expected from {spec.least:g} to {spec.most:g} {spec.unit}, found {value:g}"
+                raise BadSetting("space", name, message)
         return values
 
 

@@ -17,8 +17,8 @@ TIME_LIMIT = 2.0
 """s; a jump that takes longer has failed."""
 HEAD_FIRST = 0.7
 """Factor of the reward for landing on the head (safety)."""
-HARD_PUSH = 0.2
-"""Factor of the reward for a jump that pushes harder than a human foot can: it must not pay, and still tell the way."""
+BEYOND = 0.2
+"""Factor of the reward for a jump that asks more of a body than it can do: it must not pay, and still tell the way."""
 SPIN_PENALTY = 0.02
 """s/rad, in exp(-0.02 |omega|)."""
 OFFSET_EASY, OFFSET_HARD = 48.0, 15.0

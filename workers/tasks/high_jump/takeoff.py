@@ -27,29 +27,37 @@ OMEGA_Y = 3.0
 """rad/s; hardly differs between published strategies."""
 TAKE_OFF_FOOT = "right_ankle"
 _STANCE_LEG = ("right_hip", "right_knee", "right_ankle")
-_CLIP = "run"
-_MID_SUPPORT_FRAME = 1
+RUN = "run"
+MID_SUPPORT_FRAME = 1
 _TOE_OFF_FRAME = 4
 _BENT = -0.7
 """rad that the knee of the stance leg is bent by at the start."""
 _RATE_BOUND = 20.0
 """rad/s; no joint of the stance leg starts faster than this."""
 
+_MOST = {"rad": 3.2, "rad/s": 15.0, "m/s": 8.0}
+"""Largest amounts of a take-off state, by their units: no athlete takes off with more."""
+
+
+def _parameter(low: float, high: float, unit: str) -> ParameterSpec:
+    return ParameterSpec("float", low, high, unit=unit, least=-_MOST[unit], most=_MOST[unit])
+
+
 # The published strategies of the high jump lie at alpha -0.05 to 2.09, omega_x -3 to 1, omega_z -1 to 1, v_z -2.4 to
 # -0.5, at a run-up of 5 m/s. With the slower one here most run-ups below alpha 0.4 pass the bar by. omega_z is wider,
 # as in the published obstacle jumps (-2 to 3.9): in the short flight over a low bar it is what turns the body.
 PARAMETERS: Mapping[str, ParameterSpec] = {
-    "alpha": ParameterSpec("float", 0.4, 2.0, unit="rad"),
-    "omega_x": ParameterSpec("float", -3.0, 1.0, unit="rad/s"),
-    "omega_z": ParameterSpec("float", -4.0, 4.0, unit="rad/s"),
-    "v_z": ParameterSpec("float", -2.5, -0.5, unit="m/s"),
+    "alpha": _parameter(0.4, 2.0, "rad"),
+    "omega_x": _parameter(-3.0, 1.0, "rad/s"),
+    "omega_z": _parameter(-4.0, 4.0, "rad/s"),
+    "v_z": _parameter(-2.5, -0.5, "m/s"),
 }
 
 # The published strategies over an obstacle lie at omega_x -2.67 to 3, omega_y -2.15 to 3, omega_z -2 to 3.89.
 SPINS: Mapping[str, ParameterSpec] = {
-    "omega_x": ParameterSpec("float", -3.0, 3.0, unit="rad/s"),
-    "omega_y": ParameterSpec("float", -3.0, 3.0, unit="rad/s"),
-    "omega_z": ParameterSpec("float", -3.0, 4.0, unit="rad/s"),
+    "omega_x": _parameter(-3.0, 3.0, "rad/s"),
+    "omega_y": _parameter(-3.0, 3.0, "rad/s"),
+    "omega_z": _parameter(-3.0, 4.0, "rad/s"),
 }
 
 
@@ -117,9 +125,9 @@ class StartState:
 
 def start_state(world: World, state: TakeOff) -> StartState:
     """The athlete at take-off, standing on the ground or just above it. Leaves `world` in that state."""
-    clip = clips.load(_CLIP)
+    clip = clips.load(RUN)
     support = state.formulation == "support"
-    frame = _MID_SUPPORT_FRAME if support else _TOE_OFF_FRAME
+    frame = MID_SUPPORT_FRAME if support else _TOE_OFF_FRAME
     pose = clip.pose[frame].copy()
     rates = np.zeros(COORDINATES)
     lean = 0.0
@@ -180,7 +188,7 @@ def _plant(pose: Array, knee: float) -> float:
 
 def natural_pose() -> Array:
     """The captured pose at mid-support ``[28]``."""
-    pose: Array = clips.load(_CLIP).pose[_MID_SUPPORT_FRAME].copy()
+    pose: Array = clips.load(RUN).pose[MID_SUPPORT_FRAME].copy()
     return pose
 
 

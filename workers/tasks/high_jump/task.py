@@ -6,13 +6,13 @@ The level of a jump is the height of its bar, or the width of its obstacle, m.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 
-from workers.audit import PUSH, Audit, audit
+from workers.audit import Audit, audit
 from workers.contracts import JSON, BadJob, Context, Job, Outcome, TaskInfo
 from workers.learning.policy import Policy, note_of, with_note
 from workers.learning.ppo import POLICY_ARTIFACT, train
@@ -20,18 +20,20 @@ from workers.learning.problem import Curriculum, Diverged, Trained
 from workers.learning.rollout import play
 from workers.learning.settings import TrainingSettings
 from workers.novelty import Novelty
+from workers.physics.limits import HUMAN, Limits
 from workers.physics.rendering import render_frame
 from workers.replay import Recorder, Replay
 from workers.tasks.high_jump import behaviour, takeoff
 from workers.tasks.high_jump.env import HighJumpEnv
 from workers.tasks.high_jump.jump_settings import JumpSettings
 from workers.tasks.high_jump.naming import name_jump
+from workers.tasks.high_jump.run_up import RunUp, arrival, run_up_to
 from workers.tasks.high_jump.settings import TRAINING, HighJumpSettings, ObstacleJumpSettings
 
 REPLAY_ARTIFACT = "replay.bin"
 POSE_ARTIFACT = "pose.png"
 _MARGIN = 0.97
-"""Of what the audit lets the foot push with: a training keeps that much away from it."""
+"""Of what the audit lets a body do: a training keeps that much away from it."""
 _BACK = 0.1
 """m below the bar that a policy clears: with noise, where it goes on learning, it clears no more."""
 _REACH = 0.4
@@ -56,10 +58,15 @@ class JumpProblem:
 
     def make_env(self) -> gymnasium.Env[Any, Any]:
         """A new environment to train in."""
-        return self.env(None, push_limit=_MARGIN * PUSH, novelty=self.novelty)
+        return self.env(None, limits=HUMAN.times(_MARGIN), novelty=self.novelty, rehearse=True)
 
     def env(
-        self, recorder: Recorder | None, *, push_limit: float | None = None, novelty: Novelty | None = None
+        self,
+        recorder: Recorder | None,
+        *,
+        limits: Limits | None = None,
+        novelty: Novelty | None = None,
+        rehearse: bool = False,
     ) -> HighJumpEnv:
         """A new environment that tells a recorder."""
         s = self.settings
@@ -76,9 +83,15 @@ class JumpProblem:
             gravity=s.gravity,
             landing=s.landing,
             joints=s.joints(),
-            push_limit=push_limit,
+            limits=limits,
+            run_up=self.run_up(),
+            rehearse=rehearse,
             novelty=novelty,
         )
+
+    def run_up(self) -> RunUp | None:
+        """What leads to the take-off state, or None where the jump begins in it."""
+        return run_up_to(self.state, self.settings.joints(), self.settings.gravity) if self.settings.run_up else None
 
     def curriculum(self) -> Curriculum:
         """The levels, from the first to the one that ends the training.
@@ -295,8 +308,18 @@ def _common(problem: JumpProblem, trained: Trained) -> dict[str, JSON]:
         "distance": problem.state.distance,
         "policy_sha256": trained.policy.sha256(),
         **problem.settings.poses_used(),
+        **_arrival(problem),
         **trained.lineage,
     }
+
+
+def _arrival(problem: JumpProblem) -> dict[str, JSON]:
+    """As details of an outcome: how far from the take-off state the run-up ends."""
+    run_up = problem.run_up()
+    if run_up is None:
+        return {}
+    missed = arrival(run_up, problem.state, problem.settings.joints(), problem.settings.gravity)
+    return {"run_up": {"seconds": run_up.seconds, **asdict(missed)}}
 
 
 def _infeasible(problem: JumpProblem, trained: Trained, refused: Jump | None, name: str) -> Outcome:

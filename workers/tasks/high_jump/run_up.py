@@ -1,0 +1,337 @@
+"""The run-up: the athlete runs up to a take-off state, so that run-up and jump are one motion of one simulation.
+
+The reference is the packaged run, at the speed of the approach, that turns into the take-off state in its last stride.
+What follows it is found by sampling: targets for the PD controllers are tried, 50 ms at a time, and those that lead
+closest to the reference are gone on from (Liu et al. 2010, "Sampling-based contact-rich motion control"). Yin et al.
+2021 train a policy for it instead, for longer than two cores allow: after 40,000 samples one missed the take-off's
+velocity by 2.6 m/s. A run-up is a function of the take-off state and the athlete: whoever asks for it again gets the
+same one, and nothing of it needs to be kept.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.physics import clips, rotations
+from workers.physics.athlete import SPHERICAL, Joint
+from workers.physics.clips import Clip
+from workers.physics.limits import HUMAN
+from workers.physics.rotations import Array
+from workers.physics.world import FRAME, GRAVITY, Contacts, World
+from workers.tasks.high_jump.takeoff import (
+    MID_SUPPORT_FRAME,
+    RUN,
+    TAKE_OFF_FOOT,
+    StartState,
+    TakeOff,
+    apply,
+    start_state,
+)
+from workers.tasks.imitation.reference import ENDS, Moment, Reference
+
+SECONDS = 0.6
+"""How long it lasts: a stride and a half."""
+BLEND = 0.25
+"""s before the take-off in which the run turns into it."""
+WINDOW = 6
+"""Frames (50 ms) that a target stays."""
+_ACTIVATION: Array = np.array([[1 / 3], [2 / 3], [1.0]])
+"""Share of a new target in its first frames: as in the jump, muscles take 25 ms to become active."""
+CANDIDATES, KEPT = 500, 40
+"""Targets tried in each window, and how many of them are gone on from."""
+_SIGMA = 0.25
+"""rad, of what is tried about the reference's pose."""
+_PERSISTENCE = 0.5
+"""Of the correction in the window before: what leans the body against a fall is needed for longer than one."""
+_PUSH = 0.85
+"""Of what a foot may push with; beyond that a candidate is penalised."""
+_AFTER = 0.1
+"""s that the reference goes on after the take-off state, at its velocities."""
+_TURNED = 3 * len(SPHERICAL)
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """How far from the take-off state a run-up ends.
+
+    Args:
+        velocity: of the root, m/s.
+        spin: of the root, rad/s.
+        turn: angle between the root's orientations, rad.
+        place: of the root, m.
+        joints: root mean square of the joints' angles, rad.
+    """
+
+    velocity: float
+    spin: float
+    turn: float
+    place: float
+    joints: float
+
+
+@dataclass(frozen=True, slots=True)
+class RunUp:
+    """A run-up.
+
+    Args:
+        start: where it begins, in the middle of a stride.
+        targets: poses that the PD controllers pull to, `WINDOW` frames each ``[n, 28]``.
+    """
+
+    start: StartState
+    targets: Array
+
+    def begin(self, world: World, shift: float = 0.0) -> None:
+        """Put the world's athlete where the run-up begins, `shift` m further along x."""
+        _begin(world, replace(self.start, position=self.start.position + np.array([shift, 0.0, 0.0])))
+
+    def play(self, world: World, look: Callable[[Contacts], None] = lambda _: None) -> None:
+        """Run, in a world in which it has begun; `look` is told the contacts of each frame."""
+        before = self.start.pose
+        for target in self.targets:
+            _pull(world, before, target, look)
+            before = target
+
+    @property
+    def seconds(self) -> float:
+        """How long it lasts."""
+        return len(self.targets) * WINDOW * FRAME
+
+
+def _begin(world: World, start: StartState) -> None:
+    """Put the world's athlete in the air, at the beginning of a run-up, and tell it to stay in its pose."""
+    apply(world, start)
+    world.settle()
+    world.athlete.command(start.pose)
+
+
+def _pull(world: World, before: Array, target: Array, look: Callable[[Contacts], None]) -> None:
+    """One window towards a target; `look` is told the contacts of each frame."""
+    commands = world.athlete.commands(before + (target - before) * _ACTIVATION)
+    for frame in range(WINDOW):
+        if frame < len(commands):
+            world.athlete.follow(commands[frame])
+        look(world.advance())
+
+
+@functools.lru_cache(maxsize=16)
+def run_up_to(
+    state: TakeOff,
+    joints: tuple[Joint, ...],
+    gravity: float = GRAVITY,
+    *,
+    seconds: float = SECONDS,
+    candidates: int = CANDIDATES,
+    kept: int = KEPT,
+) -> RunUp:
+    """The run-up to a take-off state, found anew: 16 CPU seconds at the sizes that it has by default.
+
+    Args:
+        state: to arrive in.
+        joints: of the athlete.
+        gravity: m/s^2.
+        seconds: how long it lasts, about.
+        candidates: targets tried in each window.
+        kept: how many of them are gone on from.
+    """
+    world = World(gravity=gravity, joints=joints)
+    try:
+        reference = reference_of(start_state(world, state), clips.load(RUN), MID_SUPPORT_FRAME, seconds)
+        return _sampled(world, reference, round(seconds / (WINDOW * FRAME)), candidates, kept)
+    finally:
+        world.close()
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """What a run-up ends in.
+
+    Args:
+        state: of the athlete.
+        since_ground: see `World.since_ground`.
+        push: strongest of the ground on the way, N.
+        seen: see `Athlete.seen`, of each frame.
+    """
+
+    state: StartState
+    since_ground: float
+    push: float
+    seen: tuple[Sequence[Any], ...]
+
+    def apply(self, world: World, shift: float = 0.0) -> None:
+        """Put the world's athlete there, `shift` m further along x: a rehearsal, without running up each time."""
+        apply(world, replace(self.state, position=self.state.position + np.array([shift, 0.0, 0.0])))
+        world.resume(self.since_ground)
+
+
+def end_of(run_up: RunUp, world: World) -> End:
+    """What the run-up ends in, in a world as it is."""
+    push: list[float] = []
+    seen: list[Sequence[Any]] = []
+
+    def look(contacts: Contacts) -> None:
+        push.append(contacts.ground_force)
+        seen.append(world.athlete.seen)
+
+    run_up.begin(world)
+    run_up.play(world, look)
+    return End(_now(world), world.since_ground, max(push), tuple(seen))
+
+
+def arrival(run_up: RunUp, state: TakeOff, joints: tuple[Joint, ...], gravity: float = GRAVITY) -> Arrival:
+    """How near the run-up gets to its take-off state, in a new world."""
+    world = World(gravity=gravity, joints=joints)
+    try:
+        wanted = start_state(world, state)
+        world.rebuild()
+        found = end_of(run_up, world).state
+        return Arrival(
+            velocity=float(np.linalg.norm(found.velocity - wanted.velocity)),
+            spin=float(np.linalg.norm(found.angular_velocity - wanted.angular_velocity)),
+            turn=float(rotations.angle_between(found.orientation, wanted.orientation)),
+            place=float(np.linalg.norm(found.position - wanted.position)),
+            joints=float(np.sqrt(np.mean((found.pose - wanted.pose) ** 2))),
+        )
+    finally:
+        world.close()
+
+
+@dataclass(frozen=True, slots=True)
+class _Tried:
+    """A candidate: what it costs, the state that it leads to, and the corrections that led there."""
+
+    cost: float
+    state: StartState
+    since_ground: float
+    corrections: tuple[Array, ...]
+    target: Array
+
+
+def _sampled(world: World, reference: Reference, windows: int, candidates: int, kept: int) -> RunUp:
+    rng = np.random.default_rng(0)
+    start = _at(reference.at(0.0))
+    _begin(world, start)
+    sunk = world.sunk()
+    start = replace(start, position=start.position + np.array([0.0, sunk, 0.0]))
+    beam = [_Tried(0.0, start, np.inf, (), start.pose)]
+    ends = [world.athlete.names.index(name) for name in ENDS]
+    weight = float(world.athlete.mass.sum()) * GRAVITY
+    foot, other = world.athlete.link[TAKE_OFF_FOOT], world.athlete.link["left_ankle"]
+    for window in range(1, windows + 1):
+        moment = reference.at(window * WINDOW * FRAME)
+        tried = []
+        for i in range(candidates):
+            parent = beam[i % len(beam)]
+            correction = np.zeros(len(moment.pose))
+            if i >= len(beam):
+                correction = _SIGMA * rng.standard_normal(len(moment.pose))
+                if parent.corrections:
+                    correction += _PERSISTENCE * parent.corrections[-1]
+            target = moment.pose + correction
+            apply(world, parent.state)
+            world.resume(parent.since_ground)
+            seen: list[Contacts] = []
+            _pull(world, parent.target, target, seen.append)
+            last = window == windows
+            cost = _distance(world, moment, ends, last=last) + 0.002 * float(correction @ correction)
+            # in body weights; a foot that strikes too hard is no run-up that the audit would believe
+            push = max(contacts.ground_force for contacts in seen) / weight
+            cost += 5.0 * max(0.0, push - _PUSH * HUMAN.push) ** 2
+            # a jump in which anything but the take-off foot touches the ground has failed
+            if seen[-1].ground - ({foot} if last else {foot, other}):
+                cost += 20.0
+            tried.append(_Tried(cost, _now(world), world.since_ground, (*parent.corrections, correction), target))
+        tried.sort(key=lambda each: each.cost)
+        beam = tried[:kept]
+    moments = [reference.at(window * WINDOW * FRAME).pose for window in range(1, windows + 1)]
+    return RunUp(start, np.stack(moments) + np.stack(beam[0].corrections))
+
+
+def _at(moment: Moment) -> StartState:
+    return StartState(moment.root, moment.orientation, moment.velocity, moment.spin, moment.pose, moment.rates)
+
+
+def _now(world: World) -> StartState:
+    root, (pose, rates) = world.athlete.links()[0], world.athlete.pose()
+    return StartState(root[:3].copy(), root[3:7].copy(), root[7:10].copy(), root[10:13].copy(), pose, rates)
+
+
+def _distance(world: World, moment: Moment, ends: Sequence[int], *, last: bool) -> float:
+    """How far the athlete is from the reference: less of joints than of the root's way, which the jump lives on."""
+    athlete = world.athlete
+    links = athlete.links()
+    pose, rates = athlete.pose()
+    turns = rotations.from_rotation_vector(pose[:_TURNED].reshape(-1, 3))
+    angles = 2 * np.arccos(np.minimum(np.abs(np.einsum("ij,ij->i", turns, moment.turns)), 1.0))
+    hinges = pose[_TURNED:] - moment.pose[_TURNED:]
+    turn = float(rotations.angle_between(links[0, 3:7], moment.orientation))
+    velocity, spin = links[0, 7:10] - moment.velocity, links[0, 10:13] - moment.spin
+    place = links[0, :3] - moment.root
+    limbs = links[list(ends), :3] - links[0, :3] - moment.ends
+    slower = rates - moment.rates
+    return (
+        0.3 * float(angles @ angles + hinges @ hinges)
+        + 6.0 * turn * turn
+        + (6.0 if last else 4.0) * float(velocity @ velocity)
+        + (0.15 if last else 0.03) * float(spin @ spin)
+        + 10.0 * float(place @ place)
+        + 30.0 * float(place[1]) ** 2
+        + 4.0 * float((limbs * limbs).sum())
+        + 0.0005 * float(slower @ slower)
+    )
+
+
+def reference_of(start: StartState, clip: Clip, frame: int, seconds: float = SECONDS) -> Reference:
+    """The run that ends in a take-off state.
+
+    Args:
+        start: the take-off state.
+        clip: a run along x, cyclic.
+        frame: of the clip, in which the athlete is as the take-off state wants it (in the middle of the same support).
+        seconds: how long it lasts; the reference goes on a little longer, at the velocities of the take-off.
+    """
+    period = 1 / 240
+    count = round((seconds + _AFTER) / period)
+    before = (np.arange(count + 1) * period - seconds)[:, None]  # the take-off is at 0
+    weight = _smooth(1 + before / BLEND)
+    cycle = Reference(clip, cyclic=True)
+    speed = float(np.hypot(start.velocity[0], start.velocity[2]))
+    tempo = speed / (float(np.linalg.norm(cycle.advance)) / cycle.seconds)
+    run = [cycle.at((frame * clip.period + tempo * t) % cycle.seconds) for t in before[:, 0]]
+    heading = rotations.from_rotation_vector(np.array([0, -math.atan2(start.velocity[2], start.velocity[0]), 0]))
+    root = start.position + start.velocity * before
+    height = np.array([moment.root[1] for moment in run])[:, None]
+    root[:, 1:2] = (1 - weight) * height + weight * root[:, 1:2]
+    running = rotations.multiply(heading, np.stack([moment.orientation for moment in run]))
+    turning = rotations.multiply(
+        rotations.from_rotation_vector(start.angular_velocity * np.maximum(before, -BLEND)), start.orientation
+    )
+    pose = np.stack([moment.pose for moment in run])
+    towards = start.pose + start.rates * np.maximum(before, -BLEND / 2)
+    turns = rotations.to_rotation_vector(_mixed(_turns(pose), _turns(towards), weight[:, None]))
+    angles = (1 - weight) * pose[:, _TURNED:] + weight * towards[:, _TURNED:]
+    blended = np.concatenate([turns.reshape(len(turns), -1), angles], 1)
+    motion = Clip(period, root, _mixed(running, turning, weight), blended, np.zeros_like(blended))
+    return Reference(motion, cyclic=False)
+
+
+def _smooth(x: NDArray[Any]) -> Array:
+    x = np.clip(x, 0, 1)
+    return np.asarray(x * x * (3 - 2 * x), np.float64)
+
+
+def _turns(pose: Array) -> Array:
+    return rotations.from_rotation_vector(pose[:, :_TURNED].reshape(len(pose), -1, 3))
+
+
+def _mixed(a: Array, b: Array, share: Array) -> Array:
+    """Rotations on the way from `a` to `b` (slerp)."""
+    way = rotations.to_rotation_vector(rotations.multiply(b, rotations.conjugate(a)))
+    return rotations.multiply(rotations.from_rotation_vector(share * way), a)
