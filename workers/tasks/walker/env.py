@@ -53,7 +53,6 @@ class WalkerEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
 
     def __init__(self, figure: Figure, *, steps: int, recorder: WalkRecorder | None = None) -> None:
         self.world = WalkerWorld(figure, speed=SPEED)
-        self._weight = figure.mass * WEIGHT
         self.steps = steps
         self.recorder = recorder
         self._unused = True
@@ -85,7 +84,7 @@ class WalkerEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         if self.recorder is not None:
             self.recorder.add(self.world, torques)
         observation, rates, fallen = self._observation()
-        power = float(np.abs(torques * rates).sum()) / self._weight
+        power = float(np.abs(torques * rates).sum()) / (self.world.figure.mass * WEIGHT)
         self._energy += power
         reward = ALIVE + float(observation[7]) - ENERGY * power
         over = self._elapsed >= self.steps

@@ -11,10 +11,6 @@ nobody stands long enough to learn anything.
 Both are stiff for a step of 1/60 s, the dampers for a small foot alone: explicit control would throw them about. So it
 is first felt how much each hinge and each axis of the root resists (`_felt`), and what damps is divided by
 1 + damping x step / inertia, which is backward Euler's rule.
-
-The hand pushes the torso with the mass of the whole body, but in the first instant the torso resists with half of that:
-the legs hang on hinges. At a push that would bring it beyond twice its target speed in one step it rocks up and falls,
-whole help or not; so no push is greater than what would bring it there one and a half times.
 """
 
 from __future__ import annotations
@@ -40,8 +36,6 @@ CONTROL = STEP * STEPS
 SOLVER_ITERATIONS = 10
 GAIN = 200.0
 """kp, 1/s^2, and kd, 1/s, where help is whole."""
-OVERSHOOT = 1.5
-"""Most that the hand's push may change the torso's speed in one control step, as a share of what is lacking."""
 STIFFNESS = 40.0
 """N m/rad of every hinge's ligaments, whose rest is the standing pose. Two ankles need 700 to hold the whole body."""
 DAMPING = 5.0
@@ -67,7 +61,6 @@ class WalkerWorld:
     def __init__(self, figure: Figure, *, speed: float) -> None:
         self.figure, self.speed = figure, speed
         self._urdf = figure.urdf()
-        self._mass = figure.mass  # a sum over all bodies: not for every step
         self._client = -1
         self.level = 1.0
         self.rebuild()
@@ -100,8 +93,7 @@ class WalkerWorld:
         bullet.setPhysicsEngineParameter(
             numSolverIterations=SOLVER_ITERATIONS, deterministicOverlappingPairs=1, numSubSteps=0, **self._k
         )
-        masses, moments, hinges = self._felt()
-        self._most: list[float] = (OVERSHOOT * masses / CONTROL).tolist()
+        moments, hinges = self._felt()
         self._moments: list[float] = moments.tolist()
         self._yields: list[float] = (1 / (1 + CONTROL * DAMPING / hinges)).tolist()
         bullet.setGravity(0, -GRAVITY, 0, **self._k)
@@ -109,21 +101,15 @@ class WalkerWorld:
         bullet.setPhysicsEngineParameter(numSubSteps=STEPS, **self._k)
         self._links = [-1, *(i for i, hinge in enumerate(HINGES) if _carries(hinge.name))]
 
-    def _felt(self) -> tuple[Array, Array, Array]:
-        """What a push or a turn is resisted with, by the walker in the air, its hinges in the middle of their ranges.
+    def _felt(self) -> tuple[Array, Array]:
+        """What a turn is resisted with, by the walker in the air with its hinges in the middle of their ranges.
 
-        By the root along its axes ``[3]``, kg, and about them ``[3]``, and by each hinge ``[15]``, kg m^2: one over the
-        speed that 1 N or 1 N m gives in one step, times the step.
+        By the root about its axes ``[3]`` and by each hinge ``[15]``, kg m^2: the speed that 1 N m gives in one step.
         """
         bullet.setGravity(0, 0, 0, **self._k)
         bullet.setTimeStep(STEP, **self._k)
-        masses, moments, hinges = np.empty(3), np.empty(3), np.empty(len(JOINTS))
+        moments, hinges = np.empty(3), np.empty(len(JOINTS))
         middle, above = (LOW + HIGH) / 2, [0.0, self.figure.height + 1.0, 0.0]
-        for axis, force in enumerate(np.eye(3).tolist()):
-            self.place(middle, above)
-            bullet.applyExternalForce(self.body, -1, force, above, bullet.WORLD_FRAME, **self._k)
-            bullet.stepSimulation(**self._k)
-            masses[axis] = STEP / bullet.getBaseVelocity(self.body, **self._k)[0][axis]
         for axis, torque in enumerate(np.eye(3).tolist()):
             self.place(middle, above)
             bullet.applyExternalTorque(self.body, -1, torque, bullet.WORLD_FRAME, **self._k)
@@ -134,7 +120,7 @@ class WalkerWorld:
             self._turn(torque)
             bullet.stepSimulation(**self._k)
             hinges[joint] = STEP / bullet.getJointState(self.body, joint, **self._k)[1]
-        return masses, moments, hinges
+        return moments, hinges
 
     def _turn(self, torques: list[float]) -> None:
         """Torques ``[15]`` (N m) for the next control step."""
@@ -171,8 +157,7 @@ class WalkerWorld:
         """The helping hand's push for the next control step.
 
         Force m g' (target - x + target' - x') and torques I g' (0 - tilt - spin) about the root's axes, where
-        g' = gain / (1 + gain dt); m is the mass of the whole body, I what was felt. m g' is bounded by what was felt of
-        the torso's mass (`OVERSHOOT`), which only binds where nearly all help is left.
+        g' = gain / (1 + gain dt); m is the mass of the whole body, I what was felt.
         """
         gain = GAIN * (1 - self.level)
         gain /= 1 + gain * CONTROL
@@ -180,7 +165,7 @@ class WalkerWorld:
         sign = -2.0 if w < 0 else 2.0  # small angles: twice the vector part of the short way
         tilt = (sign * x, sign * y, sign * z)
         lacking = (self.speed - velocity[0], self.figure.height - position[1] - velocity[1], -position[2] - velocity[2])
-        push = [min(self._mass * gain, most) * each for most, each in zip(self._most, lacking, strict=True)]
+        push = [self.figure.mass * gain * each for each in lacking]
         turn = [-moment * gain * (tilt[i] + spin[i]) for i, moment in enumerate(self._moments)]
         bullet.applyExternalForce(self.body, -1, push, position, bullet.WORLD_FRAME, **self._k)
         bullet.applyExternalTorque(self.body, -1, turn, bullet.WORLD_FRAME, **self._k)
