@@ -68,10 +68,10 @@ function rowOf(study) {
   cells.state.lastChild.textContent = study.reason;
   cells.progress.firstChild.textContent = progressWords(study);
   drawProgress(cells.progress.lastChild, study);
-  cells.best.textContent = number(study.best_value);
   cells.samples.firstChild.textContent = `${amount(study.cost.samples)} samples`;
   cells.samples.lastChild.textContent = duration(study.cost.seconds);
   const pulse = pulses.get(study.name);
+  cells.best.textContent = `${number(study.best_value)}${pulse?.unit && study.best_value !== null ? ` ${pulse.unit}` : ""}`;
   drawSpark(cells.course, pulse?.best ?? []);
   cells.distinct.textContent = number(pulse?.distinct ?? null);
   cells.rate.textContent = pulse?.samples_per_second ? `${amount(pulse.samples_per_second)}/s` : "–";

@@ -16,6 +16,7 @@ from services.course import answers, course
 from services.errors import UnknownStudy
 from services.states import StudyState
 from services.store.port import StudyRow, TrialRow
+from services.value import value_words
 
 router = APIRouter(prefix="/api/v1")
 
@@ -31,6 +32,7 @@ class Pulse(Model):
 
     study: str
     best: list[float] = Field(description=f"best value so far, at most {POINTS} points from first trial to last")
+    unit: str = Field(description="of its values; empty where they have none")
     distinct: int | None = Field(description="distinct strategies; none where behaviour plays no part")
     samples_per_second: float | None = Field(description="of all its workers together; none where nothing runs")
     seconds_left: float | None = Field(description="at the pace of the newest trials; none where nothing runs")
@@ -66,6 +68,7 @@ def _pulses(service: Service, names: Sequence[str], now: float) -> Pulses:
             Pulse(
                 study=row.name,
                 best=spark(history),
+                unit=value_words(history).unit,
                 distinct=None if (found := service.distinct.of(row, history)) is None else len(found),
                 samples_per_second=rate,
                 seconds_left=left,

@@ -6,6 +6,7 @@ The server is shared, so no test here changes a study.
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -86,6 +87,7 @@ def test_the_list_shows_progress_strategies_cost_and_course(viewer):
     row = page.locator("tr[data-study=jumps]")
     for text in ("complete", "5 of 5 done", "0.7", "samples"):
         expect(row).to_contain_text(text)
+    expect(row.locator("[data-label=Best]")).to_have_text(re.compile(r"^0\.\d+ m$"))
     expect(row.locator(".spark")).to_be_visible()
     strategies = int(row.locator("[data-label=Strategies]").inner_text())
     page.goto(f"{viewer.url}/studies/jumps")
@@ -208,6 +210,20 @@ def test_no_page_has_an_accessibility_fault_that_a_checker_finds(viewer, axe, sc
         if wrong := complaints(page, axe):
             found[path] = wrong
     assert found == {}
+
+
+MOVING = """[...document.querySelectorAll("*")].filter((one) => {
+  const style = getComputedStyle(one);
+  return style.animationName !== "none" || style.transitionDuration.split(", ").some((time) => parseFloat(time) > 0);
+}).length"""
+
+
+def test_nothing_moves_by_itself_for_those_who_asked_for_less_motion(viewer):
+    for path in ("/studies/jumps/trials/0", "/studies/jumps", "/"):
+        page = ready(viewer, path)
+        assert page.evaluate(MOVING) == 0
+    page.emulate_media(reduced_motion="no-preference")
+    assert page.evaluate(MOVING) > 0, "bars of progress glide for everybody else"
 
 
 def test_nothing_of_these_pages_is_wider_than_a_phone(viewer):
