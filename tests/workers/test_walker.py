@@ -232,3 +232,13 @@ def test_a_note_in_a_policy_changes_nothing_else(tmp_path):
 def test_what_the_walker_does_not_know_is_refused_by_name(settings, names, message):
     with pytest.raises(BadSetting, match=f"^{message.replace('?', '.')}"):
         Walker().validate(settings, {}, names)
+
+
+def test_the_floor_carries_the_whole_weight_of_a_walker_that_stands(world):
+    world.place(np.zeros(15), [0.0, world.figure.height, 0.0])
+    for _ in range(10):
+        world.advance(np.zeros(15))
+    force, point = world.contacts()
+    assert force[:, 1].sum() == pytest.approx(9.81 * world.figure.mass, rel=0.01)
+    assert np.flatnonzero(force[:, 1]).tolist() == [5, 8]
+    assert point[[5, 8], 1] == pytest.approx([0.0, 0.0], abs=0.01)

@@ -194,13 +194,16 @@ class WalkerWorld:
         return np.array([position + orientation + velocity, *(s[0] + s[1] + s[6] for s in states)])
 
     def contacts(self) -> tuple[Array, Array]:
-        """Force of the floor on each body (N) and where it acts (m), ``[9, 3]`` each, in the step just made."""
+        """Force of the floor on each body (N) and where it acts (m), ``[9, 3]`` each, in the step just made.
+
+        Bullet tells the impulse of the last physics step over the length of the control step: a part of the force.
+        """
         force, point = np.zeros((len(self._links), 3)), np.zeros((len(self._links), 3))
         weight = np.zeros(len(self._links))
         for seen in bullet.getContactPoints(self.body, self._floor, **self._k):
             body = self._links.index(seen[3])
             normal, first, second = (np.asarray(seen[i]) for i in (7, 11, 13))
-            force[body] += seen[9] * normal + seen[10] * first + seen[12] * second
+            force[body] += STEPS * (seen[9] * normal + seen[10] * first + seen[12] * second)
             point[body] += seen[9] * np.asarray(seen[5])
             weight[body] += seen[9]
         point[weight > 0] /= weight[weight > 0, None]
