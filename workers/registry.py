@@ -40,9 +40,9 @@ def load_task(name: str) -> Task:
     """
     if name in BUILT_IN:
         return _as_task(name, import_attribute(BUILT_IN[name]))
-    for entry in _offered(tuple(sys.path)):
-        if entry.name == name:
-            return _as_task(name, _load_entry(name, entry))
+    entry = None if ":" in name else _offer(name)
+    if entry is not None:
+        return _as_task(name, _load_entry(name, entry))
     if name.startswith(GYMNASIUM):
         from workers.tasks.gymnasium_task import registered  # noqa: PLC0415 - torch takes seconds to import
 
@@ -57,7 +57,7 @@ def load_task(name: str) -> Task:
 
 def task_names() -> list[str]:
     """Names of the built-in tasks and of those that installed packages offer."""
-    return sorted({*BUILT_IN, *(entry.name for entry in _offered(tuple(sys.path)))})
+    return sorted({*BUILT_IN, *(entry.name for entry in entry_points(group=GROUP))})
 
 
 def list_tasks() -> list[TaskInfo]:
@@ -75,6 +75,16 @@ def list_tasks() -> list[TaskInfo]:
 def _offered(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:  # noqa: ARG001 - what is installed follows from it
     """What installed packages offer. Looking through all of them takes milliseconds, which each trial would pay."""
     return tuple(entry_points(group=GROUP))
+
+
+def _offer(name: str) -> EntryPoint | None:
+    """What an installed package offers under a name; looked for anew where it isn't known, it may be installed since."""
+    for _ in range(2):
+        for entry in _offered(tuple(sys.path)):
+            if entry.name == name:
+                return entry
+        _offered.cache_clear()
+    return None
 
 
 def _load_entry(name: str, entry: Any) -> Any:

@@ -26,6 +26,9 @@ from services.store.port import Store
 MOST_BYTES = 16 * 2**20
 """Of all answers that are kept. All trials of a study of 50,000 are 11 MB."""
 
+MOST_ANSWERS = 500
+"""That are kept: of small ones (a pulse holds for a second) what is around them would take more room than they do."""
+
 Revision = tuple[str, int]
 """Identity of the database's history, and its newest event."""
 
@@ -98,7 +101,7 @@ class Answers:
             return
         self._kept[question] = made
         self._bytes += len(made.body)
-        while self._bytes > self._most_bytes:
+        while self._bytes > self._most_bytes or len(self._kept) > MOST_ANSWERS:
             self._forget(next(iter(self._kept)))
 
     def _forget(self, question: Hashable) -> None:

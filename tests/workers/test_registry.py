@@ -141,6 +141,7 @@ class TestEntryPoints:
         (here / "my_jumps.py").write_text("def f(params):\n    '''A jump.'''\n    return 1.0\n")
         (here / "my_falls.py").write_text("1 / 0\n")
         monkeypatch.syspath_prepend(str(here))
+        return here
 
     def test_a_packages_task_is_found_by_its_name(self, package):
         assert load_task("my_jump").info({}).summary == "A jump."
@@ -150,6 +151,14 @@ class TestEntryPoints:
         load_task("my_jump")
         monkeypatch.setattr(registry, "entry_points", lambda **_: pytest.fail("looked through again"))
         assert load_task("my_jump").info({}).summary == "A jump."
+
+    def test_what_is_installed_while_a_service_runs_is_found(self, package):
+        load_task("my_jump")
+        about = package / "later-1.0.dist-info"
+        about.mkdir()
+        (about / "METADATA").write_text("Metadata-Version: 2.1\nName: later\nVersion: 1.0\n")
+        (about / "entry_points.txt").write_text("[halma.tasks]\nmy_later_jump = my_jumps:f\n")
+        assert load_task("my_later_jump").info({}).summary == "A jump."
 
     def test_one_that_fails_to_import_is_told_and_listed_as_such(self, package):
         with pytest.raises(TaskImportFailed, match="ZeroDivisionError: division by zero"):

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from pydantic import BaseModel
 
-from services.api.answers import Answers
+from services.api.answers import MOST_ANSWERS, Answers
 from services.api.known import KnownStudies
 from services.errors import BadInput, UnknownStudy
 from tests.record import Record, spec
@@ -218,3 +218,10 @@ def test_the_answer_of_a_deleted_study_is_forgotten_with_it(client, store, artif
         change.ask("brief", "cancel")
         change.delete_study("brief")
     assert client.get(path).status_code == 404
+
+
+def test_many_small_answers_do_not_pile_up(answers, record):
+    for number in range(MOST_ANSWERS + 5):
+        asked(answers, number, Maker("x"))
+    one = len(Count(made=1, text="x").model_dump_json())
+    assert answers.size == MOST_ANSWERS * one
