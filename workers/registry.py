@@ -78,7 +78,7 @@ def _offered(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:  # noqa: ARG001 -
 
 
 def _offer(name: str) -> EntryPoint | None:
-    """What an installed package offers under a name; looked for anew where it isn't known, it may be installed since."""
+    """What an installed package offers under a name; where it isn't known they are looked through again."""
     for _ in range(2):
         for entry in _offered(tuple(sys.path)):
             if entry.name == name:
