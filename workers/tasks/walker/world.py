@@ -139,7 +139,8 @@ class WalkerWorld:
         gain = GAIN * (1 - level)
         whole = gain * np.array([self.figure.mass] * 3 + (1 / np.diag(self._mobility)[3:]).tolist())
         # backward Euler: the push is that for the speeds which it will have led to, v + dt mobility push
-        self._hand: Array = np.linalg.solve(np.eye(6) + CONTROL * whole[:, None] * self._mobility, np.diag(whole))
+        implicit = np.linalg.solve(np.eye(6) + CONTROL * whole[:, None] * self._mobility, np.diag(whole))
+        self._hand: Array = implicit.astype(np.float64)
 
     def _turn(self, torques: list[float]) -> None:
         """Torques ``[15]`` (N m) for the next control step."""
