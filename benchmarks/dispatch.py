@@ -4,8 +4,8 @@
 
 - latency: trivial trainings on so many slots. From the moment at which a result is written into the record (the time
   of its event, a little before the commit that holds it) to the start of the next training in a worker process: the
-  k-th result frees the slot that the (k + slots)-th training takes. Counted from when every worker has had a turn: until
-  then worker processes are starting, which on few cores is what everything else waits for.
+  k-th result frees the slot that the (k + slots)-th training takes. Counted from when every worker has had a turn:
+  until then worker processes are starting, which on few cores is what everything else waits for.
 - share: trainings that sleep. The part of the slots' time, from the first start to the last start, that they are in a
   training; sleeping costs no core, so two cores do for eight slots.
 - rate: trivial trials a second, from the first start to the last end, beside Ray Tune on as many slots in the same run.
