@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from types import SimpleNamespace
 
 import optuna
 import pyarrow.parquet as pq
@@ -42,7 +43,7 @@ def test_watch_follows_a_study_while_it_changes(shell, hill, monkeypatch):
                 change.ask("hill", "cancel")
             store.close()
 
-    monkeypatch.setattr("services.cli.studies.time.sleep", while_watch_waits)
+    monkeypatch.setattr("services.cli.studies.time", SimpleNamespace(sleep=while_watch_waits))
     typed = shell("watch", "hill")
     assert len(waits) >= 2
     assert "study: asked to cancel" in typed.out
