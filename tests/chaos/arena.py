@@ -14,6 +14,7 @@ from pathlib import Path
 
 from invariants import Record, Verdict, check, what_counts
 from places import FalseClock
+from repetitions import Begun
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -164,10 +165,10 @@ class Arena:
         return len(self.iterations())
 
     def iterations(self):
-        """The trial and iteration of each that began, in order."""
+        """`Begun` of each iteration, in order."""
         with contextlib.suppress(FileNotFoundError):
             lines = self.work.read_text(encoding="utf-8").splitlines()
-            return [(int(line.split()[1]), int(line.split()[2])) for line in lines]
+            return [Begun(int(trial), int(number), who) for _, trial, number, who in map(str.split, lines)]
         return []
 
 

@@ -142,6 +142,7 @@ def tear(change):
         else:
             data[len(data) // 2] ^= 0x10
         found[-1].write_bytes(bytes(data))
+        game.marks.move(game.arena.iterations_begun(), torn=int(found[-1].parts[-3]))
         return True
 
     return fault

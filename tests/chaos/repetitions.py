@@ -1,15 +1,38 @@
-"""How much of the work was done again after each fault, from what the trainings themselves noted."""
+"""How much of the work was done again after each fault, from what the trainings themselves noted.
+
+A training that is interrupted begins again in a new *run*, from its newest intact checkpoint. What it repeats was
+caused between the last iteration of the run before it and the first of its own, by one of the faults of that time: not
+always the newest one. With two trainings at a time the other one works on, and more faults may follow, before the
+interrupted one gets its turn.
+"""
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 MOST = 1
 """Iterations that one training may repeat after a fault: the one that it was in."""
 
 TORN = 2
-"""The same where the newest checkpoint itself is destroyed: the one before it is what is left."""
+"""The same where its newest checkpoint itself is destroyed: the one before it is what is left."""
+
+
+class Begun(NamedTuple):
+    """An iteration that began: of which trial, which one, in which process."""
+
+    trial: int
+    iteration: int
+    process: str
+
+
+class Fault(NamedTuple):
+    """What happened, when (counted in iterations that had begun), and the trial whose checkpoint it destroyed."""
+
+    kind: str
+    at: int
+    torn: int | None = None
 
 
 @dataclass
@@ -28,6 +51,47 @@ class Repeated:
 
 
 @dataclass
+class Run:
+    """One go at a training: a process that takes iteration after iteration of it.
+
+    Args:
+        trial: of which trial.
+        start: how many iterations had begun before its first.
+        last: its newest iteration.
+        again: for each iteration that it repeated, when that had begun before.
+        beside: iterations that two runs did at the same time.
+    """
+
+    trial: int
+    start: int
+    last: int = 0
+    again: list = field(default_factory=list)
+    beside: int = 0
+
+
+def runs(iterations):
+    """All runs of all trainings, in order of their start.
+
+    Args:
+        iterations: `Begun` of each iteration, in order.
+    """
+    found, at_it, newest, begun = [], {}, {}, defaultdict(list)
+    for place, (trial, iteration, process) in enumerate(iterations):
+        run = at_it.get((trial, process))
+        if run is None or iteration != run.last + 1:
+            run = at_it[trial, process] = newest[trial] = Run(trial, place)
+            found.append(run)
+        run.last = iteration
+        before = [when for when in begun[trial, iteration] if when < newest[trial].start]
+        if run is newest[trial] and before:
+            run.again.append(before[-1])
+        elif begun[trial, iteration]:
+            newest[trial].beside += 1
+        begun[trial, iteration].append(place)
+    return found
+
+
+@dataclass
 class Marks:
     """When which fault happened, counted in iterations that had begun."""
 
@@ -35,40 +99,59 @@ class Marks:
 
     def set(self, kind, begun):
         """A fault is about to happen."""
-        self._faults.append((kind, begun))
+        self._faults.append(Fault(kind, begun))
 
-    def move(self, begun):
-        """The last one happened only now."""
-        self._faults[-1] = (self._faults[-1][0], begun)
+    def move(self, begun, torn=None):
+        """The last one happened only now; it destroyed the newest checkpoint of the trial `torn`."""
+        self._faults[-1] = self._faults[-1]._replace(at=begun, torn=torn)
 
     def take_back(self):
         """It did not happen."""
         self._faults.pop()
 
+    def _cause(self, run):
+        """The fault that a run's repetitions are put down to.
+
+        That is the one that destroyed its checkpoint, if there is one, else the first since the last iteration of the
+        run before it. A fault is marked when it is about to happen, so that the one before these may be it, too.
+        """
+        last = max(run.again) + 1 if run.again else run.start
+        before = [fault for fault in self._faults if fault.at < last]
+        since = [fault for fault in self._faults if last <= fault.at <= run.start]
+        torn = [fault for fault in (*before[-1:], *since) if fault.torn == run.trial]
+        return (torn or since or before[-1:] or [None])[0]
+
+    def _costs(self, iterations):
+        for run in runs(iterations):
+            cause = self._cause(run)
+            if cause is not None:
+                yield cause, run
+
     def count(self, iterations):
         """`Repeated` by kind.
 
         Args:
-            iterations: the trial and iteration of each that began, in order.
+            iterations: `Begun` of each iteration, in order.
         """
-        found = {}
-        ends = [begun for _, begun in self._faults] + [len(iterations)]
-        for (kind, begun), end in zip(self._faults, ends[1:], strict=True):
-            row = found.setdefault(kind, Repeated())
-            before, again, new = set(iterations[:begun]), Counter(), Counter()
-            for step in iterations[begun:end]:
-                if step in before:
-                    before.discard(step)
-                    again[step[0]] += 1
-                else:
-                    new[step] += 1
-            row.iterations += sum(again.values())
-            row.most = max(row.most, *again.values(), 0)
-            row.beside += sum(count - 1 for count in new.values())
+        found = {fault.kind: Repeated() for fault in self._faults}
+        for cause, run in self._costs(iterations):
+            row = found[cause.kind]
+            row.iterations += len(run.again)
+            row.most = max(row.most, len(run.again))
+            row.beside += run.beside
         return found
 
     def judge(self, iterations, verdict):
-        """Note where a fault made a training repeat more than it may."""
-        for kind, row in self.count(iterations).items():
-            most = TORN if kind.startswith("checkpoint ") else MOST
-            verdict.expect(row.most <= most, f"{kind}: a training repeated {row.most} iterations, {most} may be")
+        """Note where a fault made a training repeat more than it may, and what nobody's fault explains."""
+        for run in runs(iterations):
+            cause = self._cause(run)
+            if not run.again:
+                continue
+            if cause is None:
+                verdict.expect(False, f"trial {run.trial} repeated {len(run.again)} iterations without any fault")
+                continue
+            most = TORN if cause.torn == run.trial else MOST
+            verdict.expect(
+                len(run.again) <= most,
+                f"{cause.kind}: trial {run.trial} repeated {len(run.again)} iterations, {most} may be",
+            )

@@ -72,7 +72,8 @@ def note_work(job, iteration):
     place = os.environ.get("HALMA_CHAOS_WORK")
     if not place:
         return
-    line = f"{job.study} {job.trial} {iteration} {os.getpid()}\n"
+    # Hosts of the chaos tests have process tables of their own, in which ids are the same.
+    line = f"{job.study} {job.trial} {iteration} {os.getpid()}@{os.uname().nodename}\n"
     descriptor = os.open(place, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     try:
         os.write(descriptor, line.encode())

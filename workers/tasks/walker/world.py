@@ -9,8 +9,12 @@ Hinges are moved by torques alone. What ligaments do beside muscles is a spring 
 nobody stands long enough to learn anything.
 
 Both are stiff for a step of 1/60 s, the dampers for a small foot alone: explicit control would throw them about. So it
-is first felt how much each hinge and each axis of the root resists (`_felt`), and what damps is divided by
+is first felt how much each hinge and the root resist (`_felt`), and what damps is divided by
 1 + damping x step / inertia, which is backward Euler's rule.
+
+For the hand that inertia is a matrix: it pushes with the mass of the whole body, but in the first instant the torso
+resists with half of that or less, as the legs hang on hinges, and it rocks when it is pushed. With the mass alone the
+hand threw two bodies of three about and down.
 """
 
 from __future__ import annotations
@@ -62,7 +66,7 @@ class WalkerWorld:
         self.figure, self.speed = figure, speed
         self._urdf = figure.urdf()
         self._client = -1
-        self.level = 1.0
+        self._level = 1.0
         self.rebuild()
 
     def rebuild(self) -> None:
@@ -93,8 +97,8 @@ class WalkerWorld:
         bullet.setPhysicsEngineParameter(
             numSolverIterations=SOLVER_ITERATIONS, deterministicOverlappingPairs=1, numSubSteps=0, **self._k
         )
-        moments, hinges = self._felt()
-        self._moments: list[float] = moments.tolist()
+        self._mobility, hinges = self._felt()
+        self.level = self._level
         self._yields: list[float] = (1 / (1 + CONTROL * DAMPING / hinges)).tolist()
         bullet.setGravity(0, -GRAVITY, 0, **self._k)
         bullet.setTimeStep(CONTROL, **self._k)
@@ -102,29 +106,52 @@ class WalkerWorld:
         self._links = [-1, *(i for i, hinge in enumerate(HINGES) if _carries(hinge.name))]
 
     def _felt(self) -> tuple[Array, Array]:
-        """What a turn is resisted with, by the walker in the air with its hinges in the middle of their ranges.
+        """How the walker in the air yields: the speeds that a unit of force or torque gives in a physics step.
 
-        By the root about its axes ``[3]`` and by each hinge ``[15]``, kg m^2: the speed that 1 N m gives in one step.
+        Of the root, standing: mobility ``[6, 6]``, 1/kg and 1/(kg m^2), from a force (N) and a torque (N m) in the
+        columns to velocity and angular velocity over the length of the step. Of the hinges, in the middle of their
+        ranges: inertia ``[15]``, kg m^2.
         """
         bullet.setGravity(0, 0, 0, **self._k)
         bullet.setTimeStep(STEP, **self._k)
-        moments, hinges = np.empty(3), np.empty(len(JOINTS))
-        middle, above = (LOW + HIGH) / 2, [0.0, self.figure.height + 1.0, 0.0]
-        for axis, torque in enumerate(np.eye(3).tolist()):
-            self.place(middle, above)
-            bullet.applyExternalTorque(self.body, -1, torque, bullet.WORLD_FRAME, **self._k)
+        mobility, hinges = np.empty((6, 6)), np.empty(len(JOINTS))
+        standing, middle, above = np.zeros(len(JOINTS)), (LOW + HIGH) / 2, [0.0, self.figure.height + 1.0, 0.0]
+        for column, unit in enumerate(np.eye(6)):
+            self.place(standing, above)
+            self._push(unit)
             bullet.stepSimulation(**self._k)
-            moments[axis] = STEP / bullet.getBaseVelocity(self.body, **self._k)[1][axis]
+            mobility[:, column] = np.concatenate(bullet.getBaseVelocity(self.body, **self._k)) / STEP
         for joint, torque in enumerate(np.eye(len(JOINTS)).tolist()):
             self.place(middle, above)
             self._turn(torque)
             bullet.stepSimulation(**self._k)
             hinges[joint] = STEP / bullet.getJointState(self.body, joint, **self._k)[1]
-        return moments, hinges
+        return mobility, hinges
+
+    @property
+    def level(self) -> float:
+        """How far the help is withdrawn, in [0, 1]."""
+        return self._level
+
+    @level.setter
+    def level(self, level: float) -> None:
+        self._level = level
+        gain = GAIN * (1 - level)
+        whole = gain * np.array([self.figure.mass] * 3 + (1 / np.diag(self._mobility)[3:]).tolist())
+        # backward Euler: the push is that for the speeds which it will have led to, v + dt mobility push
+        implicit = np.linalg.solve(np.eye(6) + CONTROL * whole[:, None] * self._mobility, np.diag(whole))
+        self._hand: Array = implicit.astype(np.float64)
 
     def _turn(self, torques: list[float]) -> None:
         """Torques ``[15]`` (N m) for the next control step."""
         bullet.setJointMotorControlArray(self.body, JOINTS, bullet.TORQUE_CONTROL, forces=torques, **self._k)
+
+    def _push(self, wrench: Array) -> None:
+        """Force ``[3]`` (N) and torque ``[3]`` (N m) on the torso's centre, world frame, for the next control step."""
+        force, torque = wrench[:3].tolist(), wrench[3:].tolist()
+        position, _ = bullet.getBasePositionAndOrientation(self.body, **self._k)
+        bullet.applyExternalForce(self.body, -1, force, position, bullet.WORLD_FRAME, **self._k)
+        bullet.applyExternalTorque(self.body, -1, torque, bullet.WORLD_FRAME, **self._k)
 
     def close(self) -> None:
         """Free Bullet's memory. A closed world can only be rebuilt."""
@@ -156,19 +183,16 @@ class WalkerWorld:
     def _help(self) -> None:
         """The helping hand's push for the next control step.
 
-        Force m g' (target - x + target' - x') and torques I g' (0 - tilt - spin) about the root's axes, where
-        g' = gain / (1 + gain dt); m is the mass of the whole body, I what was felt.
+        Force m g (target - x + target' - x') and torques I g (0 - tilt - spin) about the world's axes, where g is the
+        gain, m the mass of the whole body and I what the root alone resists a turn with, all made implicit (`level`).
         """
-        gain = GAIN * (1 - self.level)
-        gain /= 1 + gain * CONTROL
         position, (x, y, z, w), velocity, spin = self.root()
         sign = -2.0 if w < 0 else 2.0  # small angles: twice the vector part of the short way
-        tilt = (sign * x, sign * y, sign * z)
-        lacking = (self.speed - velocity[0], self.figure.height - position[1] - velocity[1], -position[2] - velocity[2])
-        push = [self.figure.mass * gain * each for each in lacking]
-        turn = [-moment * gain * (tilt[i] + spin[i]) for i, moment in enumerate(self._moments)]
-        bullet.applyExternalForce(self.body, -1, push, position, bullet.WORLD_FRAME, **self._k)
-        bullet.applyExternalTorque(self.body, -1, turn, bullet.WORLD_FRAME, **self._k)
+        lacking = (
+            self.speed - velocity[0], self.figure.height - position[1] - velocity[1], -position[2] - velocity[2],
+            -sign * x - spin[0], -sign * y - spin[1], -sign * z - spin[2],
+        )  # fmt: skip
+        self._push(self._hand @ np.array(lacking))
 
     def root(self) -> tuple[tuple[float, ...], ...]:
         """Position ``[3]``, orientation ``[4]``, velocity ``[3]`` and angular velocity ``[3]`` of the torso."""
