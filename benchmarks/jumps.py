@@ -7,8 +7,9 @@
 
 Each training begins from one of the published take-off states of the high jump (Yin et al. 2021) and ends when the bar
 at z_freeze is mastered, or its samples are spent. Printed for each: CPU minutes, the bar that the curriculum came to,
-the highest bar cleared in an audited jump, and how far the jump's poses are from captured ones: for each frame of the
-flight the nearest captured pose (packaged clips), bodies relative to the root and in its frame, mean distance, m.
+the highest bar cleared in an audited jump, how the athlete faces over it (rad), and how far the jump's poses are from
+captured ones: for each frame of the flight the nearest captured pose (packaged clips), bodies relative to the root and
+in its frame, mean distance, m. A training has reached z_freeze once it has mastered it (half an iteration's jumps).
 Variants alternate within each seed, so that whatever else the machine does hits all alike; CPU seconds of this process.
 """
 
@@ -84,12 +85,14 @@ def train(state: str, settings: dict[str, Any], samples: int, seed: int, capture
         outcome = run(Job("benchmark", 0, "high_jump", STATES[state], seed, settings, training), context)
         spent = (time.process_time() - start) / 60
         curve = [(int(r["metrics"]["samples"]), float(r["metrics"]["level"])) for r in context.reports()]
+        mastered = max((float(r["metrics"].get("level_mastered", 0.0)) for r in context.reports()), default=0.0)
         far = None
         if outcome.status == "complete":
             far = unnaturalness(Replay.from_bytes(context.artifact("replay.bin")), captured)
         return {
             "minutes": spent, "curve": curve, "level": outcome.details.get("level"), "value": outcome.value,
-            "reached": (outcome.details.get("level") or 0) >= settings["z_freeze"], "far": far,
+            "facing": outcome.details.get("facing"), "samples": outcome.cost.samples,
+            "reached": mastered >= settings["z_freeze"], "far": far,
             "name": outcome.details.get("name") or outcome.message,
         }  # fmt: skip
 
@@ -114,7 +117,7 @@ def main() -> None:
         from workers.poses.training import default_model  # noqa: PLC0415 - trained once, outside of the timings
 
         default_model()
-    print(f"{'state':14}{'variant':14}{'seed':>5}{'CPU min':>9}{'level':>7}{'bar':>7}{'far (m)':>9}  name")
+    print(f"{'state':14}{'variant':14}{'seed':>5}{'CPU min':>9}{'level':>7}{'bar':>7}{'facing':>8}{'far (m)':>9}  name")
     rows: list[dict[str, Any]] = []
     for seed in range(1, options.seeds + 1):
         for state in states:
@@ -125,7 +128,7 @@ def main() -> None:
                 rows.append(row)
                 print(
                     f"{state:14}{name:14}{seed:5d}{row['minutes']:9.2f}{show(row['level'], 2):>7}"
-                    f"{show(row['value'], 2):>7}{show(row['far'], 3):>9}  {row['name']}",
+                    f"{show(row['value'], 2):>7}{show(row['facing'], 2):>8}{show(row['far'], 3):>9}  {row['name']}",
                     flush=True,
                 )
                 if options.json:

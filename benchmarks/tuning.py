@@ -2,7 +2,8 @@
 
     python -m benchmarks.tuning gymnasium --seeds 3
     python -m benchmarks.tuning walker --seeds 3 --configs "cmfbo;random"
-    python -m benchmarks.tuning gymnasium --report
+    python -m benchmarks.tuning walk --seeds 3-5 --configs "cmfbo;gp_ucb;boca;tpe_hyperband;gp;random"
+    python -m benchmarks.tuning walk --print
 
 The study is the one that `halma run` takes (`studies/`), in its quick profile, one trial at a time. The figure is the
 best value at z = 1 that a search has seen by the time it has spent so many samples; values of easier tasks are no
@@ -11,20 +12,25 @@ further cost. Only `cmfbo` proposes parents, so that `cmfbo, no transfer` is wha
 difference what policies handed on are. A warm-started policy has learnt from its parents' samples too: they are in the
 cost, which is the whole study's.
 
-Raw results go to `benchmarks/results/tuning-NAME.jsonl`, one line a trial: what is there is not run again, and an
-interrupted study goes on where it was (its policies lie beside the file).
+A comparison takes many sittings. One search under one seed is a row, a JSON line, that is appended to `--results` when
+it is over (`benchmarks/figures/tuning-NAME.jsonl`, which is tracked): its best value at z = 1 against cost, the
+revision of the code, and a digest of what it was run on. What has a row for the same digest is not run again, and rows
+of another digest are not in the table. A search that was interrupted goes on at the trial it was in: its trials are
+lines in `benchmarks/results/tuning-NAME/`, beside their policies, which are not tracked.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
 import shutil
+import subprocess
 import time
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +47,7 @@ from workers.local_context import LocalContext
 from workers.run import run
 
 STUDIES = Path(__file__).parent.parent / "studies"
+FIGURES = Path(__file__).parent / "figures"
 WHERE: Mapping[str, str] = {
     "gymnasium": "tune_gymnasium.yaml",
     "walker": "walker_morphology.yaml",
@@ -79,6 +86,19 @@ class Run:
     def budget(self) -> float:
         return float(self.spec.search.cost or 0.0)
 
+    @property
+    def digest(self) -> str:
+        """Of all that searches have in common; rows are compared where it is the same."""
+        spec = self.spec
+        space = {name: each.model_dump(mode="json") for name, each in (spec.space or {}).items()}
+        common = [spec.task.name, spec.task.settings, spec.training, space, self.budget]
+        return hashlib.sha256(json.dumps(common, sort_keys=True).encode()).hexdigest()[:12]
+
+    @property
+    def trials(self) -> Path:
+        """One line for each trial of a search that is not over."""
+        return self.folder / "trials.jsonl"
+
 
 def run_of(name: str, config: str, seed: int, overrides: Sequence[str], folder: Path) -> Run:
     strategy, _ = CONFIGS[config]
@@ -86,14 +106,15 @@ def run_of(name: str, config: str, seed: int, overrides: Sequence[str], folder: 
     if any(setting.name == "seed" for setting in strategy_class(strategy).info().settings):
         chosen.append(f"search.settings.seed={seed}")  # of a design that would else be the same for all seeds
     spec = load_study(STUDIES / WHERE[name], chosen)
-    return Run(name, config, seed, spec, folder / f"{name}-{config.replace(', ', '-').replace(' ', '-')}-{seed}")
+    made = Run(name, config, seed, spec, folder)
+    return replace(made, folder=folder / f"{config.replace(', ', '-').replace(' ', '-')}-{seed}-{made.digest}")
 
 
-def one_study(study: Run, done: Sequence[Row], out: Path) -> list[Row]:
+def one_study(study: Run) -> list[Row]:
     """The study's trials until its cost is spent, those on disk included."""
-    rows = list(done) if (study.folder / f"{len(done) - 1}").exists() else []
-    if done and not rows:
-        raise SystemExit(f"{study.folder}: expected the policies of {len(done)} trials; delete {out} to begin anew")
+    out = study.trials
+    rows = read(out)
+    out.parent.mkdir(parents=True, exist_ok=True)
     strategy = make_strategy_of(study.spec)
     key = zlib.crc32(study.config.encode())
     while (paid := sum(row["cost"] for row in rows)) < study.budget:
@@ -135,6 +156,33 @@ def _trained(study: Run, candidate: Candidate, number: int, paid: float) -> Row:
     }  # fmt: skip
 
 
+def summary(study: Run, rows: Sequence[Row], code: str) -> Row:
+    """The row of a search that is over."""
+    own = [row for row in rows if row["z"] in {None, 1.0}]
+    curve: list[tuple[float, float]] = []
+    for row in own:
+        if row["status"] == "complete" and (not curve or row["value"] > curve[-1][1]):
+            curve.append((row["spent"], row["value"]))
+    values = [row["value"] for row in own if row["value"] is not None]
+    return {
+        "problem": study.name, "search": study.config, "seed": study.seed, "digest": study.digest, "revision": code,
+        "budget": study.budget, "spent": sum(row["cost"] for row in rows), "trials": len(rows), "at_z1": len(own),
+        "curve": curve, "worst": min(values, default=None), "seconds": round(sum(row["seconds"] for row in rows), 1),
+    }  # fmt: skip
+
+
+def revision() -> str:
+    """The commit that the code is of, with a + where files differ from it."""
+    root = Path(__file__).parent.parent
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=root, check=True, capture_output=True, text=True).stdout.strip()
+
+    # rows that are appended change nothing of the code
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", ":(exclude)benchmarks/figures")
+    return git("rev-parse", "--short=12", "HEAD") + ("+" if changed else "")
+
+
 def _write(out: Path, row: Row) -> None:
     with out.open("a") as file:
         file.write(json.dumps(row) + "\n")
@@ -145,92 +193,107 @@ def _observation(row: Row) -> Observation:
     return Observation(candidate, row["value"], None, float(row["cost"]), row["status"])
 
 
-def best_at(rows: Sequence[Row], cost: float) -> float | None:
+def best_at(row: Row, cost: float) -> float | None:
     """Best value of the task itself among what was paid for with `cost`; a trial counts when it is over."""
-    values = [
-        row["value"]
-        for row in rows
-        if row["z"] in {None, 1.0} and row["status"] == "complete" and row["spent"] <= cost + 1e-9
-    ]
-    return max(values, default=None)
+    return max((value for spent, value in row["curve"] if spent <= cost + 1e-9), default=None)
 
 
-def cost_to(rows: Sequence[Row], value: float) -> float | None:
-    """Samples spent when the task itself first reached `value`."""
-    for row in rows:
-        if row["z"] in {None, 1.0} and row["status"] == "complete" and row["value"] >= value:
-            return float(row["spent"])
-    return None
+def cost_to(row: Row, value: float) -> float:
+    """Samples spent when the task itself first reached `value`, infinite where it never did."""
+    return min((spent for spent, found in row["curve"] if found >= value), default=float("inf"))
 
 
 def report(name: str, rows: Sequence[Row]) -> None:
     """Best value at z = 1 against cost, with intervals over seeds, and the cost to what `random` ends with."""
-    runs: dict[tuple[str, int], list[Row]] = {}
-    for row in rows:
-        runs.setdefault((row["config"], row["seed"]), []).append(row)
-    if not runs:
-        raise SystemExit(f"no trials of {name} yet")
+    if not rows:
+        raise SystemExit(f"no finished search of {name} on file for what the study is now")
     budget = rows[0]["budget"]
     # The last trial of a study may end beyond its cost: it was begun within it, and counts at its end for all alike.
-    whole = max(sum(row["cost"] for row in each) for each in runs.values())
+    whole = max(row["spent"] for row in rows)
     # A search that has no answer yet is as good as its first full training would be: the worst one seen.
-    worst = min(row["value"] for row in rows if row["z"] in {None, 1.0} and row["value"] is not None)
+    worst = min((row["worst"] for row in rows if row["worst"] is not None), default=float("nan"))
     at = {share: share * budget if share < 1 else whole for share in SHARES}
-    randoms = [found for (config, _), each in runs.items() if config == "random" if (found := best_at(each, whole))]
+
+    def best(row: Row, cost: float) -> float:
+        found = best_at(row, cost)
+        return worst if found is None else found
+
+    randoms = [best(row, whole) for row in rows if row["search"] == "random"]
     goal = float(np.mean(randoms)) if randoms else None
     print(f"{name}: best value at z = 1, mean over seeds [95 % bootstrap interval]; cost {budget:,.0f} samples")
     head = "".join(f"{f'{100 * share:.0f} %':>28s}" for share in SHARES)
-    print(f"{'':20s}{'seeds':>6s}{head}{'trials':>8s}{'z = 1':>7s}" + (f"{'to random':>12s}" if goal else ""))
-    for config in (each for each in CONFIGS if any(key[0] == each for key in runs)):
-        mine = [each for (found, _), each in runs.items() if found == config]
-        line = f"{config:20s}{len(mine):6d}"
+    tail = "" if goal is None else f"{'to random':>12s}"
+    print(f"{'':20s}{'seeds':>12s}{head}{'trials':>8s}{'z = 1':>7s}{tail}")
+    for config in CONFIGS:
+        mine = sorted((row for row in rows if row["search"] == config), key=lambda row: int(row["seed"]))
+        if not mine:
+            continue
+        line = f"{config:20s}{','.join(str(row['seed']) for row in mine):>12s}"
         for cost in at.values():
-            best = [best_at(each, cost) for each in mine]
-            mean, low, high = interval(np.array([worst if b is None else b for b in best]), np.random.default_rng(0))
+            values = np.array([best(row, cost) for row in mine])
+            mean, low, high = interval(values, np.random.default_rng(0))
             line += f"{f'{mean:.4g} [{low:.4g}, {high:.4g}]':>28s}"
-        top = np.mean([row["z"] in {None, 1.0} for each in mine for row in each])
-        line += f"{np.mean([len(each) for each in mine]):8.1f}{top:7.2f}"
+        share = sum(row["at_z1"] for row in mine) / sum(row["trials"] for row in mine)
+        line += f"{np.mean([row['trials'] for row in mine]):8.1f}{share:7.2f}"
         if goal is not None:
-            costs = [found if (found := cost_to(each, goal)) is not None else float("inf") for each in mine]
-            middle = float(np.median(costs))
+            middle = float(np.median([cost_to(row, goal) for row in mine]))
             line += f"{'never' if middle == float('inf') else f'{middle / budget:.2f}':>12s}"
         print(line)
     if goal is not None:
         print(f"to random: median share of the cost after which a search has what random ends with ({goal:.4g})")
+    print(f"revisions: {', '.join(sorted({row['revision'] for row in rows}))}")
 
 
 def read(path: Path) -> list[Row]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def seeds_of(text: str) -> list[int]:
+    """`3`: the first three, 0 to 2; `3-5`: those."""
+    first, _, last = text.partition("-")
+    if not first.isdecimal() or not (last.isdecimal() or last == text[len(first) :] == ""):
+        raise argparse.ArgumentTypeError(f"expected how many, or the first and the last as 3-5, found {text!r}")
+    return list(range(int(first), int(last) + 1)) if last else list(range(int(first)))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("name", choices=sorted(WHERE))
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--seeds", type=seeds_of, default=[0, 1, 2], help="how many, or 3-5; --print has all")
     parser.add_argument("--configs", default="", help="names separated by semicolons; all where empty")
     parser.add_argument("--set", action="append", default=[], help="overrides of the study, as `halma run --set`")
-    parser.add_argument("--out", type=Path, default=None)
-    parser.add_argument("--report", action="store_true", help="only the table of what is there")
-    options = parser.parse_args()
-    out: Path = options.out or RESULTS / f"tuning-{options.name}.jsonl"
-    out.parent.mkdir(parents=True, exist_ok=True)
+    parser.add_argument("--results", type=Path, default=None, help="the file of finished searches")
+    parser.add_argument("--work", type=Path, default=None, help="the folder of searches that are not over")
+    parser.add_argument("--print", action="store_true", help="only the table of what is on file")
+    options = parser.parse_args(arguments)
+    results: Path = options.results or FIGURES / f"tuning-{options.name}.jsonl"
+    work: Path = options.work or RESULTS / f"tuning-{options.name}"
+    results.parent.mkdir(parents=True, exist_ok=True)
     names = [each for each in options.configs.split(";") if each] or list(CONFIGS)
     for name in names:
         if name not in CONFIGS:
             parser.error(f"--configs: expected some of {'; '.join(CONFIGS)}, found {name!r}")
-    for seed in range(0 if options.report else options.seeds):  # seed by seed: what is done is balanced
+    digest = run_of(options.name, names[0], 0, options.set, work).digest
+    code = revision()  # as the code was when it was loaded
+    for seed in [] if options.print else options.seeds:  # seed by seed: what is done is balanced
         for config in names:
-            study = run_of(options.name, config, seed, options.set, out.with_suffix(""))
-            done = [row for row in read(out) if (row["config"], row["seed"]) == (config, seed)]
+            study = run_of(options.name, config, seed, options.set, work)
+            if any((row["search"], row["seed"], row["digest"]) == (config, seed, digest) for row in read(results)):
+                continue
             began = time.perf_counter()
-            rows = one_study(study, done, out)
-            best = best_at(rows, float("inf"))
+            row = summary(study, one_study(study), code)
+            _write(results, row)
+            shutil.rmtree(study.folder)
+            best = best_at(row, float("inf"))
             shown = "none" if best is None else f"{best:.4g}"
             print(
-                f"{config}, seed {seed}: {len(rows)} trials, best {shown}, {time.perf_counter() - began:.0f} s",
+                f"{config}, seed {seed}: {row['trials']} trials, best {shown}, {time.perf_counter() - began:.0f} s",
                 flush=True,
             )
-    report(options.name, [row for row in read(out) if row["config"] in names])
+    rows = [row for row in read(results) if row["search"] in names]
+    report(options.name, [row for row in rows if row["digest"] == digest])
+    if others := sum(row["digest"] != digest for row in rows):
+        print(f"{others} rows are of another version of the study, and not in the table")
 
 
 if __name__ == "__main__":

@@ -203,11 +203,17 @@ class Staged:
         begun = [o.candidate for o in seen.history if o.candidate.stage == stage.name] + seen.pending_of(stage.name)
         done = [sum(candidate.warm_start in cluster.members for candidate in begun) for cluster in taken]
         archive = [seen.history[i].features for i in seen.complete()]
-        known = distinct(archive, np.zeros(len(archive)), self.metric, 0.0)
-        avoid = [[float(v) for v in archive[c.representative] or ()] for c in known]
+        values = [seen.value(i) for i in seen.complete()]
+
+        def leading(worth: Sequence[float], apart: float) -> list[list[float]]:
+            groups = distinct(archive, worth, self.metric, apart)
+            return [[float(v) for v in archive[c.representative] or ()] for c in groups]
+
+        # The reward keeps away from every policy; what counts as another strategy is told by those that stand for one.
+        away = {"avoid": leading([0.0] * len(archive), 0.0), "strategies": leading(values, self.apart)}
         plan = sorted((k, place) for place in range(len(taken)) for k in range(done[place], stage.trainings))
         return [
-            self._again(stage, seen, taken[place].representative, round=k + 1, avoid=avoid, threshold=stage.threshold)
+            self._again(stage, seen, taken[place].representative, round=k + 1, threshold=stage.threshold, **away)
             for k, place in plan
         ]
 

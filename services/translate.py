@@ -115,14 +115,14 @@ def settings_in(spec: StudySpec, stage: str) -> tuple[dict[str, Any], dict[str, 
 def job_of(spec: StudySpec, trial: TrialRow) -> Job:
     """What a worker runs for a trial; also what a policy is simulated again from."""
     settings, training = settings_in(spec, trial.stage)
-    away = {name: trial.info[name] for name in ("avoid", "threshold") if name in trial.info}
+    away = {name: trial.info[name] for name in ("avoid", "threshold", "strategies") if name in trial.info}
     return Job(
         study=spec.name,
         trial=trial.number,
         task=spec.task.name,
         task_settings=settings,
         training=training,
-        novelty=away if len(away) == 2 else None,
+        novelty=away if {"avoid", "threshold"} <= away.keys() else None,
         params=dict(trial.params),
         z=trial.z,
         seed=trial.seed,

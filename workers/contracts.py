@@ -50,8 +50,9 @@ class Job:
         training: budget, network and learner settings, validated by the task.
         seed: unsigned 64-bit; all randomness of the job flows from it.
         parent: number of the trial whose policy this one starts from, or None.
-        novelty: for a training that is to find something new, `avoid` (behaviours that are known) and `threshold` (how
-            far from all of them earns the whole reward); see `workers.novelty`. None for any other.
+        novelty: for a training that is to find something new, `avoid` (behaviours that are known), `threshold` (how
+            far from all of them earns the whole reward) and `strategies` (those that stand for one); see
+            `workers.novelty`. None for any other.
     """
 
     study: str

@@ -45,6 +45,7 @@ def test_novelty_trains_from_each_strategy_round_by_round_away_from_all_that_is_
     found = ask(staged(NOVELTY), SEARCHED)
     assert summary(found) == [("novelty", 2, 1), ("novelty", 1, 1), ("novelty", 2, 2), ("novelty", 1, 2)]
     assert sorted(found[0].info["avoid"]) == [[0.0], [0.1], [1.0]]
+    assert found[0].info["strategies"] == [[0.1], [1.0]], "of a strategy's members the best stands for it"
     assert found[0].info["threshold"] == 1.5
     assert dict(found[0].params) == PARAMS
 

@@ -108,6 +108,7 @@ def test_novelty_finds_what_the_search_had_not(shapes):
     assert trials[4].info["avoid"]
     assert job_of(StudySpec.from_json(row.spec), trials[4]).novelty == {
         "avoid": trials[4].info["avoid"],
+        "strategies": trials[4].info["strategies"],
         "threshold": 1.0,
     }
     assert job_of(StudySpec.from_json(row.spec), trials[0]).novelty is None

@@ -45,10 +45,29 @@ def test_a_state_read_back_goes_on_as_the_one_written():
     first, second = SuccessCurriculum(0.5, 0.1, freeze=0.9), SuccessCurriculum(0.5, 0.1, freeze=0.9)
     played(first, 17)
     second.load(first.state())
-    for successes in (3, 12, 20, 11):
+    for successes in (3, 0, 0, 0, 0, 12, 20, 11):
         assert played(first, successes) == played(second, successes)
         assert first.finished() == second.finished()
         assert first.metrics() == second.metrics()
+
+
+def test_where_nothing_succeeds_it_goes_back_after_three_iterations_and_never_below_the_first_level():
+    curriculum = SuccessCurriculum(0.5, 0.1)
+    assert played(curriculum, 20) == 1.0
+    assert [played(curriculum, 0) for _ in range(6)] == pytest.approx([1.0, 1.0, 1.0, 0.9, 0.8, 0.7])
+    assert played(curriculum, 1) == 0.7
+    assert [played(curriculum, 0) for _ in range(4)] == pytest.approx([0.7, 0.7, 0.7, 0.6])
+    assert played(curriculum, 10) == 0.7
+    assert curriculum.metrics() == {"level_mastered": 0.6}
+    assert [played(curriculum, 0) for _ in range(9)][-3:] == [0.5, 0.5, 0.5]
+    assert curriculum.metrics() == {"level_mastered": 0.6}, "what has been mastered stays mastered"
+
+
+def test_from_the_last_level_it_goes_back_at_once_however_far_the_steps_went_beyond():
+    curriculum = SuccessCurriculum(0.5, 0.1, freeze=0.7)
+    played(curriculum, 20)
+    assert curriculum.steps == 5
+    assert [played(curriculum, 0) for _ in range(5)] == pytest.approx([0.7, 0.7, 0.7, 0.6, 0.5])
 
 
 def test_an_environment_without_success_is_refused():

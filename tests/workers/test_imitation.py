@@ -13,7 +13,7 @@ from workers.run import run
 from workers.tasks.imitation import reference
 from workers.tasks.imitation.env import CONTROL, ImitationEnv
 from workers.tasks.imitation.settings import SPACE, ImitationSettings, steps_at
-from workers.tasks.imitation.task import LENGTH, EpisodeLength, Imitation
+from workers.tasks.imitation.task import LENGTH, EpisodeLength, Imitation, problem_of
 
 TINY = {
     "budget": {"samples": 60},
@@ -133,6 +133,12 @@ def test_a_training_ends_after_so_many_iterations_without_gain():
 def test_difficulty_is_one_to_twenty_seconds():
     assert [steps_at(z) for z in (0.0, 0.5, 1.0)] == [30, 315, 600]
     assert [steps_at(z) * CONTROL for z in (0.0, 1.0)] == [1.0, pytest.approx(20.0)]
+
+
+def test_the_longest_episode_can_be_a_shorter_one():
+    problem = problem_of(job(task_settings={"clip": "walk", "longest": 60}, z=1.0))
+    assert problem.longest == 60
+    assert problem_of(job(task_settings={"clip": "walk", "longest": 60}, z=0.5)).longest == 45
 
 
 def test_the_space_is_table_6_2():

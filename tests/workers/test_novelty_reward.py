@@ -65,6 +65,19 @@ def test_where_nothing_is_known_everything_is_new():
     assert (novelty.factor((0.3,)), novelty.is_new((0.3,))) == (1.0, True)
 
 
+def test_new_is_what_is_far_from_all_that_stand_for_a_strategy_however_near_another_known_one_is():
+    away = {"avoid": [[1.0], [1.35], [2.6]], "strategies": [[1.0], [2.6]], "threshold": 1.5}
+    novelty = Novelty.of(job(away), FACING)
+    assert novelty.is_new((1.45,)), "1.35 belongs to the strategy of 1.0, from which this is further than 0.4 rad"
+    assert not novelty.is_new((1.39,))
+    assert not novelty.is_new((2.3,))
+    assert novelty.factor((1.45,)) == pytest.approx(0.1 / 1.5), "the reward sees every policy, as equation 12 does"
+    told_of_none = Novelty.of(job({"avoid": away["avoid"], "threshold": 1.5}), FACING)
+    assert not told_of_none.is_new((1.45,))
+    with pytest.raises(BadJob, match=r"novelty\.strategies: expected behaviours of 1 numbers"):
+        Novelty.of(job(away | {"strategies": ["x"]}), FACING)
+
+
 @pytest.mark.parametrize(
     ("novelty", "message"),
     [

@@ -17,9 +17,10 @@ none (use +-inf), the environment gets the policy's output as it is and decides 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from workers.contracts import JSON, BadJob, Cost, WorkerError
 from workers.learning.policy import Policy
@@ -110,8 +111,13 @@ class Ladder:
 
     def climb(self, steps: int) -> None:
         """The level is mastered: so many steps up."""
-        self.mastered = self.level
+        self.mastered = self.level if self.mastered is None else max(self.mastered, self.level)
         self.steps += steps
+
+    def back(self) -> None:
+        """One step down, not below the first level."""
+        top = self.steps if self.freeze is None else math.ceil((self.freeze - self.start) / self.step - 1e-9)
+        self.steps = max(0, min(self.steps, top) - 1)
 
     def finished(self) -> bool:
         """Whether `freeze` has been mastered."""
@@ -126,10 +132,14 @@ class Ladder:
 class SuccessCurriculum(Ladder):
     """Raises the level by how often the last iteration succeeded.
 
-    At half the episodes one step (then the level counts as mastered), above 0.8 two, above 0.9 five.
+    At half the episodes one step (then the level counts as mastered), above 0.8 two, above 0.9 five. After `PATIENCE`
+    iterations in a row without a single success each further one takes a step back: where success is all that is
+    rewarded nothing is learnt there, and five steps at once may have been too many.
     """
 
+    PATIENCE: ClassVar[float] = 3
     success_rate: float = field(default=0.0, init=False)
+    fruitless: int = field(default=0, init=False)
 
     def update(self, returns: Sequence[float], successes: Sequence[bool]) -> None:  # noqa: ARG002 - only success counts
         """Raise the level. Raises `BadJob` where the environment reports no success."""
@@ -137,16 +147,25 @@ class SuccessCurriculum(Ladder):
             raise BadJob('curriculum: expected info["success"] at the end of each episode, found none')
         rate = sum(successes) / len(successes)
         self.success_rate = rate
+        self.fruitless = 0 if any(successes) else self.fruitless + 1
         if rate >= 0.5:
             self.climb(5 if rate > 0.9 else 2 if rate > 0.8 else 1)
+        elif self.fruitless > self.PATIENCE:
+            self.back()
 
     def state(self) -> dict[str, JSON]:
-        """Steps taken, the last success rate and the highest level mastered."""
-        return {"steps": self.steps, "success_rate": self.success_rate, "mastered": self.mastered}
+        """Steps taken, the last success rate, iterations without success, and the highest level mastered."""
+        return {
+            "steps": self.steps,
+            "success_rate": self.success_rate,
+            "mastered": self.mastered,
+            "fruitless": self.fruitless,
+        }
 
     def load(self, state: Mapping[str, JSON]) -> None:
         """Continue from `state`."""
         self.steps, self.success_rate, self.mastered = state["steps"], state["success_rate"], state["mastered"]
+        self.fruitless = state.get("fruitless", 0)  # checkpoints of halma 0.1.0 don't count them
 
 
 @dataclass(slots=True)

@@ -56,9 +56,9 @@ SHORTEST, LONGEST = 30, 600
 """Control steps (1/30 s) of an episode at difficulties 0 and 1."""
 
 
-def steps_at(z: float) -> int:
-    """T(z) = 30 + 570 z."""
-    return round(SHORTEST + (LONGEST - SHORTEST) * z)
+def steps_at(z: float, longest: int = LONGEST) -> int:
+    """T(z) = 30 + 570 z, or less where the longest episodes are shorter."""
+    return round(SHORTEST + (longest - SHORTEST) * z)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +71,7 @@ class ImitationSettings:
         patience: iterations without a higher return after which the training ends.
         cost_scale: C, samples after which the same motion is worth 1/e.
         growth: control steps that episodes get longer by after an iteration in which fewer than 20 % failed.
+        longest: control steps of an episode at difficulty 1, 20 s where not given.
         episodes: how many evaluations the value is the mean of.
         budget: share of the training's budget that a training at difficulty 0 has.
     """
@@ -80,6 +81,7 @@ class ImitationSettings:
     patience: int = setting(500, Rule("int", 1))
     cost_scale: float = setting(1e7, Rule("float", 0.0, open_low=True))
     growth: int = setting(15, Rule("int", 1, LONGEST))
+    longest: int = setting(LONGEST, Rule("int", SHORTEST, LONGEST))
     episodes: int = setting(4, Rule("int", 1, 100))
     budget: float = setting(0.25, Rule("float", 0.0, 1.0, open_low=True))
 

@@ -190,7 +190,8 @@ class Imitation:
 def problem_of(job: Job) -> ImitationProblem:
     """What a job trains, checked. Raises `BadSetting`."""
     settings = ImitationSettings.parse(job.task_settings)
-    return ImitationProblem(settings, reference.read(settings.clip), steps_at(1.0 if job.z is None else job.z))
+    longest = steps_at(1.0 if job.z is None else job.z, settings.longest)
+    return ImitationProblem(settings, reference.read(settings.clip), longest)
 
 
 def recorded(problem: ImitationProblem, policy: Policy) -> Replay:

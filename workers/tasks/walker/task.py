@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -34,6 +35,7 @@ class Withdrawal(SuccessCurriculum):
         deadline: iterations after which all is withdrawn.
     """
 
+    PATIENCE: ClassVar[float] = math.inf  # help that has been withdrawn stays withdrawn: who falls has earned something
     deadline: int = 1
     iterations: int = field(default=0, init=False)
 
