@@ -59,10 +59,10 @@ def test_a_worker_whose_predecessor_did_not_start_in_time_is_given_twice_the_tim
     assert world.attempts(0) == [AttemptState.LOST]
     world.clock.now += 10
     world.steps()
-    world.clock.now += 2 * START_LEASE_SECONDS - 1
+    world.clock.now += 2 * START_LEASE_SECONDS - 10
     world.steps(1)
     assert world.attempts(0) == [AttemptState.LOST, AttemptState.RUNNING]
-    world.clock.now += 2
+    world.clock.now += 20
     world.steps(1)
     assert world.attempts(0) == [AttemptState.LOST, AttemptState.LOST]
 
