@@ -178,7 +178,11 @@ def _ask_stages(read: Draft, spec: ResolvedSpec, task: Task, info: TaskInfo, pro
 def _ask_strategy(read: Draft, spec: ResolvedSpec, problems: Problems) -> None:
     strategy = spec.search.strategy
     if not spec.has_difficulty and strategy_class(strategy).info().uses_z:
-        plain = [each.name for each in strategies() if each.uses_values and not each.uses_z]
+        plain = [
+            each.name
+            for each in strategies()
+            if each.uses_values and not each.uses_z and (spec.behaviour is not None or not each.uses_features)
+        ]
         message = (
             f"expected a task with a difficulty for {strategy}, found that {spec.task.name} has none; give it one "
             f"({DIFFICULTY}), or choose a strategy that needs none: {', '.join(plain)}"

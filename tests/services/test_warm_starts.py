@@ -12,7 +12,7 @@ import pytest
 
 from search import Candidate
 from services.admission import admit, find
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.cli.tables import parent_of
 from services.coordinator import Coordinator
 from services.dispatch.inline import InlineDispatcher
@@ -200,6 +200,13 @@ def test_a_strategy_that_chooses_difficulties_needs_a_task_that_has_one(strategy
     )
     assert "gp_ucb" in message
     assert json.dumps(message)
+
+
+def test_strategies_that_need_a_behaviour_are_not_offered_to_a_task_without_one():
+    text = "name: s\ntask: gymnasium:Pendulum-v1\nsearch: {strategy: cmfbo, cost: 1000}\n"
+    with pytest.raises(BadStudy) as refusal:
+        parse_study(text, name="s.yaml")
+    assert str(refusal.value).endswith("or choose a strategy that needs none: gp_ucb, tpe, gp, cmaes")
 
 
 def test_only_the_task_itself_has_a_best_value(service):
