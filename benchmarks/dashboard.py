@@ -40,7 +40,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.browser import crowd, servers, watching
 from benchmarks.browser.record import Writer, motion, multiply
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.store.open import open_store
 
 STUDY = "big"

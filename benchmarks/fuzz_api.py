@@ -35,7 +35,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from services.api.assembly import create_api
 from services.api.submission import submit_to
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.auth import Gatekeeper
 from services.states import TrialState
 from services.store.open import open_store

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
-from services.artifacts import ArtifactStore
+from services.artifacts.port import ArtifactStore
 from services.errors import ArtifactDamaged, BadInput, HalmaError
 from services.replaying import POLICY
 from services.report import Finding, findings, spec_of, strategy_name

@@ -14,7 +14,7 @@ import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.errors import ArtifactDamaged, BadInput
 from services.settings import Settings
 from services.store.open import open_store

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from services.artifact_names import study_key
+from services.artifacts.names import study_key
 from services.dispatch.port import Assignment
 from services.proposing import ProposalRequest, candidate_json, observation_json, proposal_key
 from services.spec import StudySpec

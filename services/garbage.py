@@ -19,9 +19,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from services.artifact_names import Belonging, FileKind, belonging, study_key
-from services.artifact_root import confirm
-from services.artifacts import ArtifactStore, StoredFile
+from services.artifacts.names import Belonging, FileKind, belonging, study_key
+from services.artifacts.port import ArtifactStore, StoredFile
+from services.artifacts.root import confirm
 from services.spec import StudySpec
 from services.states import OPEN_TRIAL
 from services.store.port import Store, StudyRow

@@ -14,7 +14,7 @@ from typing import Any
 import ray
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.coordinator import Coordinator
 from services.dispatch.hosts import Hosts, pool_resource
 from services.dispatch.ray_workers import RayDispatcher

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
-from services.artifacts import ArtifactStore
+from services.artifacts.port import ArtifactStore
 from services.errors import BadInput
 from services.report import spec_of
 from services.states import TrialState

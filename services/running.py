@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.coordinator import Coordinator
 from services.dispatch.inline import InlineDispatcher
 from services.driver import driving_words, lives

@@ -17,8 +17,8 @@ import uvicorn
 
 from services.address import read_server
 from services.api.submission import submit_to
-from services.artifact_root import settle
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
+from services.artifacts.root import settle
 from services.auth import load_or_create_token
 from services.errors import BadInput
 from services.running import leaving_on_signals

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from services.artifacts import ArtifactStore
+from services.artifacts.port import ArtifactStore
 from services.errors import ArtifactDamaged, BadInput
 from services.store.port import ArtifactRow, Store, StudyRow
 

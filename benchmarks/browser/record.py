@@ -6,7 +6,7 @@ import os
 import sqlite3
 from pathlib import Path
 
-from services.artifacts import ArtifactStore
+from services.artifacts.port import ArtifactStore
 from services.states import TrialState
 from services.store.port import AttemptRow, Driver, NewTrial, Result, Store, TrialRow
 

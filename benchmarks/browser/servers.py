@@ -21,7 +21,7 @@ PATIENCE = 120.0
 HALMA = """
 import sys, uvicorn
 from dashboards.app import create_app
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.store.open import open_store
 folder, port, token = sys.argv[1:]
 app = create_app(open_store(folder + "/halma.db"), open_artifacts(folder + "/artifacts"), token=token)

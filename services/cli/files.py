@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from services.artifact_root import adopt, confirm
+from services.artifacts.root import adopt, confirm
 from services.cli.session import Artifacts, AsJson, Db, print_json, say, session
 from services.cli.studies import complete_study
 from services.cli.words import file_size, several

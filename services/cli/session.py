@@ -14,7 +14,8 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from services.artifacts import ArtifactStore, open_artifacts
+from services.artifacts.open import open_artifacts
+from services.artifacts.port import ArtifactStore
 from services.errors import BadInput
 from services.settings import Settings, find_settings
 from services.store.open import open_store

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from services.admission import admit, apply_changes, changes_of, find
-from services.artifact_root import settle
+from services.artifacts.root import settle
 from services.cli.driving import drive_here, refuse_driven
 from services.cli.findings import report
 from services.cli.session import (

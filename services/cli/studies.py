@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from services.amending import AMENDABLE, SHORT, field_of, read_amendments
-from services.artifact_root import settle
+from services.artifacts.root import settle
 from services.budget import has_stages
 from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line

@@ -6,7 +6,7 @@ import contextlib
 import time
 from collections import deque
 
-from services.artifacts import ArtifactStore
+from services.artifacts.port import ArtifactStore
 from services.dispatch.port import Assignment, Deliver, Message
 from services.dispatch.runtime import Attempt
 from services.errors import StorageUnavailable

@@ -22,7 +22,7 @@ from typing import Any
 import ray
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.dispatch.hosts import DEFAULT_POOL, Hosts, best_fit, pool_resource
 from services.dispatch.port import (
     Assignment,

@@ -12,7 +12,8 @@ from typing import Any
 
 import ray
 
-from services.artifacts import ArtifactStore, StoredFile, open_artifacts
+from services.artifacts.open import open_artifacts
+from services.artifacts.port import ArtifactStore, StoredFile
 from services.errors import ArtifactDamaged, BadInput, StorageUnavailable
 from services.store.port import ArtifactRow, NewArtifact
 

@@ -19,7 +19,7 @@ import safetensors.numpy
 
 import services
 import workers
-from services.artifacts import ArtifactStore
+from services.artifacts.port import ArtifactStore
 from services.dispatch.port import (
     Assignment,
     Beat,

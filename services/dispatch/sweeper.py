@@ -6,7 +6,7 @@ import contextlib
 import queue
 import threading
 
-from services.artifacts import ArtifactStore
+from services.artifacts.port import ArtifactStore
 from services.errors import StorageUnavailable
 
 CLOSE_SECONDS = 5.0

@@ -15,8 +15,10 @@ import ray
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.artifact_names import study_key
-from services.artifacts import FolderArtifacts, ObjectArtifacts, open_artifacts
+from services.artifacts.folder import FolderArtifacts
+from services.artifacts.names import study_key
+from services.artifacts.objects import ObjectArtifacts
+from services.artifacts.open import open_artifacts
 from services.dispatch.relay import KeeperActor, RelayedArtifacts, artifacts_here
 from services.errors import ArtifactDamaged, BadInput, StorageUnavailable
 
@@ -310,7 +312,7 @@ class TestFolder:
             raise OSError(28, "No space left on device")
 
         with monkeypatch.context() as patch:
-            patch.setattr("services.artifacts.os.fsync", full)
+            patch.setattr("services.artifacts.folder.os.fsync", full)
             with pytest.raises(OSError, match="No space left"):
                 files.put_checkpoint(KEY, 3, 2, b"state 2")
         assert list(files.paths()) == before
@@ -326,7 +328,7 @@ class TestFolder:
             seen.append((Path(f"/proc/self/fd/{descriptor}").readlink().name, names))
             real(descriptor)
 
-        monkeypatch.setattr("services.artifacts.os.fsync", record)
+        monkeypatch.setattr("services.artifacts.folder.os.fsync", record)
         files.put(KEY, 3, "a", b"x")
         final = "a-" + hashlib.sha256(b"x").hexdigest()[:16]
         *folders, (temporary, during), (folder, after) = seen

@@ -13,7 +13,7 @@ from playwright.sync_api import expect
 
 from dashboards.app import create_app
 from services.api.submission import submit_to
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.auth import COOKIE, Gatekeeper
 from services.store.open import open_store
 

@@ -13,7 +13,7 @@ from dashboards import login
 from dashboards.app import STATIC, create_app
 from dashboards.rendering import static_root
 from services.api.submission import submit_to
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.auth import COOKIE
 from services.store.open import open_store
 from tests.record import Record

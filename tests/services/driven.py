@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import pytest
+
 from services.admission import admit
 from services.coordinator import Coordinator
 from services.dispatch.hosts import best_fit
@@ -12,6 +14,9 @@ from services.proposing import InlineStrategist
 from services.spec_check import parse_study
 from services.store.open import open_store
 from workers.contracts import Cost, Outcome
+
+pair = pytest.mark.parametrize("world", [["search.trials=2"]], indirect=True, ids=["two trials"])
+"""As many trials as slots, so that a retry finds its slot free."""
 
 STUDY = """
 name: s

@@ -7,8 +7,8 @@ import shutil
 
 import pytest
 
-from services.artifact_root import adopt, confirm, settle
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
+from services.artifacts.root import adopt, confirm, settle
 from services.errors import ArtifactsMoved, BadInput
 from services.states import TrialState
 from services.store.open import open_store

@@ -14,7 +14,7 @@ import pytest
 from services.address import find_server, read_server
 from services.api.assembly import create_api
 from services.api.submission import submit_to
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.auth import Gatekeeper
 from services.client import Client, ServerRefused, ServerUnavailable
 from services.errors import (

@@ -12,7 +12,7 @@ import httpx
 import optuna
 import pytest
 
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.errors import BadInput, NotInstalled
 from services.export import Format, write
 from services.states import TrialState

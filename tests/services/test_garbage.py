@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from services.artifact_names import study_key
-from services.artifact_root import settle
-from services.artifacts import ObjectArtifacts, open_artifacts
+from services.artifacts.names import study_key
+from services.artifacts.objects import ObjectArtifacts
+from services.artifacts.open import open_artifacts
+from services.artifacts.root import settle
 from services.errors import ArtifactsMoved, BadInput
 from services.garbage import Fate, collect
 from services.states import StudyState, TrialState

@@ -18,7 +18,7 @@ import nbformat
 import pytest
 
 from services.api.assembly import create_api
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.auth import Gatekeeper, load_or_create_token
 from services.serving import announced
 from services.settings import find_settings

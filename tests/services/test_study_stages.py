@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from services.admission import admit, find
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.budget import most_trials
 from services.coordinator import Coordinator
 from services.dispatch.inline import InlineDispatcher

@@ -12,7 +12,7 @@ import pytest
 
 from search import Candidate
 from services.admission import admit, find
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.cli.tables import parent_of
 from services.coordinator import Coordinator
 from services.dispatch.inline import InlineDispatcher

@@ -110,7 +110,7 @@ def _patch_times(module):
 
 PATCHES = {}
 if PLANNED:
-    PATCHES |= {"sqlalchemy.engine.base": [_patch_sqlalchemy], "services.artifacts": [_patch_artifacts]}
+    PATCHES |= {"sqlalchemy.engine.base": [_patch_sqlalchemy], "services.artifacts.folder": [_patch_artifacts]}
 if FASTER != 1:
     for name in ("services.coordinator", "services.driver", "services.dispatch.runtime"):
         PATCHES.setdefault(name, []).append(_patch_times)

@@ -7,7 +7,7 @@ from fastapi.testclient import TestClient
 
 from services.api.assembly import create_api
 from services.api.submission import submit_to
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.auth import Gatekeeper
 from services.store.open import open_store
 from tests.record import Record

@@ -11,7 +11,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from services.api.assembly import create_api
 from services.api.submission import submit_to
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.auth import Gatekeeper, load_or_create_token
 from services.serving import announced
 from services.settings import find_settings

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from services.api.assembly import create_api
 from services.api.models import ErrorOut
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.auth import Gatekeeper
 from services.store.open import open_store
 from tests.record import Record

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from services.admission import admit
 from services.cli import run_command
+from services.spec_check import parse_study
 from services.store.open import open_store
 
 HILL = """\
@@ -63,6 +65,14 @@ class Shell:
         finally:
             store.close()
 
+    def queue(self, name: str) -> None:
+        """Submit a study file that was written, without running it."""
+        store = open_store(self.home / "halma.db")
+        try:
+            admit(store, parse_study((self.folder / f"{name}.yaml").read_text(encoding="utf-8"), name=f"{name}.yaml"))
+        finally:
+            store.close()
+
 
 @pytest.fixture
 def shell(tmp_path, monkeypatch, capsys):
@@ -80,3 +90,11 @@ def hill(shell):
     """The text of a study file, written as hill.yaml."""
     shell.write("hill.yaml", HILL)
     return HILL
+
+
+@pytest.fixture
+def finished(shell, hill):
+    """A study of four trials, finished; what `run` said."""
+    typed = shell("run", "hill.yaml", "--inline")
+    assert typed.code == 0, typed.err
+    return typed.out

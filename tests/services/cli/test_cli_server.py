@@ -8,7 +8,7 @@ import pytest
 
 from services.api.assembly import create_api
 from services.api.submission import submit_to
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.auth import Gatekeeper
 from services.store.open import open_store
 from tests.served import served

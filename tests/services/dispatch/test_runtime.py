@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.artifacts import open_artifacts
+from services.artifacts.open import open_artifacts
 from services.dispatch.port import Assignment, Began, Crashed, Ended, Hindered, Reported, Stopped
 from services.dispatch.runtime import Attempt, WorkerContext, decode_checkpoint, encode_checkpoint
 from services.errors import StorageUnavailable

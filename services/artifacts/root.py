@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import uuid
 
-from services.artifacts import ArtifactStore
+from services.artifacts.port import ArtifactStore
 from services.errors import ArtifactsMoved, BadInput
 from services.store.port import ArtifactRoot, Store
 

@@ -1,0 +1,1 @@
+"""Files that trials leave: where they are, what they are called, and that they are whole."""
