@@ -88,6 +88,10 @@ class Source:
                 return _shown_override(self.overrides[here])
             if here in self.lines:
                 return f"{self.name}:{self.lines[here]}"
+            # a mapping that the file doesn't have, made for an override within it
+            made = [override for other, override in self.overrides.items() if length > 1 and other[:length] == here]
+            if made:
+                return _shown_override(made[0])
         return f"{self.name}:1"
 
     def order(self, problem: Problem) -> tuple[bool, int]:

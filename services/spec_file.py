@@ -149,6 +149,7 @@ def overridden(study: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict
         except BadYaml as error:
             problems.append(Problem(origin, dotted(place), error.message))
             continue
+        place = _in_space(place, value)
         inner = _mapping_for(data, place)
         if inner is None:
             problems.append(
@@ -160,6 +161,15 @@ def overridden(study: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict
     if problems:
         raise BadStudy(problems)
     return data, set_by
+
+
+def _in_space(place: tuple[str, ...], value: object) -> tuple[str, ...]:
+    """The place of what an override sets, where it is in the space: names of parameters (`ppo.clip`) have dots."""
+    if place[0] != "space" or len(place) < 3:
+        return place
+    if isinstance(value, dict):
+        return "space", ".".join(place[1:])
+    return "space", ".".join(place[1:-1]), place[-1]
 
 
 def _mapping_for(data: dict[str, Any], place: tuple[str, ...]) -> dict[str, Any] | None:

@@ -175,6 +175,19 @@ def test_a_wrong_override_is_named_instead_of_a_line():
     ]
 
 
+def test_an_override_reaches_parameters_whose_names_have_dots():
+    text = GOOD.replace("rate: {", "ppo.rate: {")
+    whole = "space.ppo.clip={type: float, low: 0.1, high: 0.3}"
+    spec = draft(text, name="a.yaml", overrides=["space.ppo.rate.low=1e-4", "space.layers.high=9", whole]).spec
+    assert set(spec.space) == {"alpha", "ppo.rate", "layers", "net", "ppo.clip"}
+    assert (spec.space["ppo.rate"].low, spec.space["ppo.rate"].high) == (1e-4, 1e-2)
+    assert spec.space["layers"].high == 9
+    assert spec.space["ppo.clip"].high == 0.3
+    assert problems(text, "space.ppo.rat.low=0") == [
+        "--set space.ppo.rat.low=0: space.ppo.rat.type: expected one of float, int, categorical, angle, found nothing"
+    ]
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [
