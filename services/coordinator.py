@@ -37,6 +37,9 @@ WORKER_LEASE_SECONDS = 30.0
 START_LEASE_SECONDS = 180.0
 """The same while its worker process is still starting: importing the physics on a busy machine takes its time."""
 
+MOST_DOUBLINGS = 4
+"""Of the start's lease, after as many retries."""
+
 
 class Coordinator:
     """Drives studies. Not thread-safe, but for `leave`.
@@ -250,7 +253,7 @@ class Coordinator:
                 self._departures.guarded(drive, partial(self._write_beats, drive))
         for drive in list(self._held.drives.values()):
             for live in list(drive.live.values()):
-                lease = WORKER_LEASE_SECONDS if live.taken_up else START_LEASE_SECONDS
+                lease = _lease(drive, live)
                 # Until the last time that anybody listened: a driver that was itself stopped since knows nothing.
                 silence = self._listened - live.seen
                 if silence > lease:
@@ -328,3 +331,14 @@ class Coordinator:
         drive.open[trial.number] = replace(trial, state=TrialState.RUNNING, attempts=attempt.number)
         self._held.study_of[attempt.id] = drive.row.id
         self._dispatcher.start(drive.assignment(trial, live, parents))
+
+
+def _lease(drive: Drive, live: Live) -> float:
+    """Seconds of silence after which an attempt is lost.
+
+    A start that took too long is given twice the time when it is tried again: where the machine is slow for everybody,
+    ending it at the same moment again would get nowhere.
+    """
+    if live.taken_up:
+        return WORKER_LEASE_SECONDS
+    return START_LEASE_SECONDS * 2.0 ** min(MOST_DOUBLINGS, drive.open[live.trial].retries)

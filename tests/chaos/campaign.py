@@ -250,7 +250,13 @@ class Campaign:
             game.clear_away()
             verdict = game.arena.judge()
             verdict.broken.append(traceback.format_exc())
-        return told(seed, group, verdict, game.faults, game.marks.count(game.arena.iterations()))
+        return told(
+            seed,
+            group,
+            verdict,
+            game.faults,
+            game.marks.count(game.arena.iterations(), game.arena.record().processes()),
+        )
 
 
 def told(seed, group, verdict, faults, cost, **more):

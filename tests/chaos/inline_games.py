@@ -84,7 +84,7 @@ class Game:
 
     def cost(self, kind):
         """What the faults, all of one kind, cost."""
-        return dict.fromkeys([kind], self.marks.count(self.arena.iterations())[""])
+        return dict.fromkeys([kind], self.marks.count(self.arena.iterations(), self.arena.record().processes())[""])
 
     def over(self):
         """Whether the study has come to its end."""
@@ -97,7 +97,7 @@ class Game:
             if self.run_once() == 0:
                 break
         verdict = self.arena.judge()
-        self.marks.judge(self.arena.iterations(), verdict)
+        self.marks.judge(self.arena.iterations(), verdict, self.arena.record().processes())
         verdict.expect(
             what_counts(self.arena.record()) == self.expected, "the study is not what it would have been undisturbed"
         )

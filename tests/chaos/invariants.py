@@ -63,6 +63,17 @@ class Record:
         for event in self.events:
             event["payload"] = json.loads(event["payload"])
 
+    def processes(self):
+        """By trial number, the process and host of each attempt in order, None where it was never heard of."""
+        if self.study is None:
+            return {}
+        numbers = {row["id"]: row["number"] for row in self.trials}
+        found = defaultdict(list)
+        for row in self.attempts:
+            heard = row["pid"] is not None
+            found[numbers[row["trial_id"]]].append(f"{row['pid']}@{row['host']}" if heard else None)
+        return found
+
     def finished(self):
         """All that is on record of the trials that have ended, by number: it may never change again."""
         left = defaultdict(list)

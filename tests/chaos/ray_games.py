@@ -78,7 +78,7 @@ class RayGame:
                 raise Stuck(f"the study did not end\n{self.arena.said()[-3000:]}")
         wait_until(lambda: self.process is None or self.process.poll() is not None, 60)
         verdict = self.arena.judge()
-        self.marks.judge(self.arena.iterations(), verdict)
+        self.marks.judge(self.arena.iterations(), verdict, self.arena.record().processes())
         if self.expected is not None:
             same = what_counts(self.arena.record()) == self.expected
             verdict.expect(same, "the study is not what it would have been undisturbed")

@@ -69,26 +69,42 @@ class Run:
     beside: int = 0
 
 
-def runs(iterations):
+def runs(iterations, attempts=()):
     """All runs of all trainings, in order of their start.
 
     Args:
         iterations: `Begun` of each iteration, in order.
+        attempts: by trial, the process of each attempt in order, None where it was never heard of.
     """
-    found, at_it, newest, begun = [], {}, {}, defaultdict(list)
+    found, at_it, newest, begun, attempts = [], {}, {}, defaultdict(list), dict(attempts)
     for place, (trial, iteration, process) in enumerate(iterations):
         run = at_it.get((trial, process))
         if run is None or iteration != run.last + 1:
-            run = at_it[trial, process] = newest[trial] = Run(trial, place)
+            run = at_it[trial, process] = Run(trial, place)
             found.append(run)
+            started = {who for what, who in at_it if what == trial and who != process}
+            if not _comes_late(process, attempts.get(trial, []), started):
+                newest[trial] = run
         run.last = iteration
-        before = [when for when in begun[trial, iteration] if when < newest[trial].start]
-        if run is newest[trial] and before:
+        holder = newest.setdefault(trial, run)
+        before = [when for when in begun[trial, iteration] if when < holder.start]
+        if run is holder and before:
             run.again.append(before[-1])
         elif begun[trial, iteration]:
-            newest[trial].beside += 1
+            holder.beside += 1
         begun[trial, iteration].append(place)
     return found
+
+
+def _comes_late(process, attempts, started):
+    """Whether a run belongs to an attempt that had been given up unheard, and whose successor has started before it.
+
+    A host that was cut off gets word of a training when it is back, and works until somebody hears of it.
+    """
+    if process in attempts:
+        return False
+    unheard = [number for number, who in enumerate(attempts) if who is None]
+    return any(who in started for number, who in enumerate(attempts) if unheard and number > unheard[0])
 
 
 @dataclass
@@ -121,29 +137,25 @@ class Marks:
         torn = [fault for fault in (*before[-1:], *since) if fault.torn == run.trial]
         return (torn or since or before[-1:] or [None])[0]
 
-    def _costs(self, iterations):
-        for run in runs(iterations):
+    def _costs(self, iterations, attempts):
+        for run in runs(iterations, attempts):
             cause = self._cause(run)
             if cause is not None:
                 yield cause, run
 
-    def count(self, iterations):
-        """`Repeated` by kind.
-
-        Args:
-            iterations: `Begun` of each iteration, in order.
-        """
+    def count(self, iterations, attempts=()):
+        """`Repeated` by kind; see `runs` for what it is given."""
         found = {fault.kind: Repeated() for fault in self._faults}
-        for cause, run in self._costs(iterations):
+        for cause, run in self._costs(iterations, attempts):
             row = found[cause.kind]
             row.iterations += len(run.again)
             row.most = max(row.most, len(run.again))
             row.beside += run.beside
         return found
 
-    def judge(self, iterations, verdict):
+    def judge(self, iterations, verdict, attempts=()):
         """Note where a fault made a training repeat more than it may, and what nobody's fault explains."""
-        for run in runs(iterations):
+        for run in runs(iterations, attempts):
             cause = self._cause(run)
             if not run.again:
                 continue

@@ -92,6 +92,22 @@ def test_what_a_training_that_was_given_up_does_beside_its_successor_is_no_repet
     assert judged(marks, work) == []
 
 
+def test_an_attempt_given_up_unheard_that_starts_after_its_successor_is_no_repetition():
+    """A host was cut off when it was given the training, which another one did meanwhile."""
+    work = iterations("0.1b", "0.2b", "0.3b", "0.1c", "0.2c", "0.3c")
+    marks = Marks()
+    marks.set("network cut beyond a lease", 0)
+    attempts = {0: [None, "b"]}
+    row = marks.count(work, attempts)["network cut beyond a lease"]
+    assert (row.iterations, row.beside) == (0, 3)
+    verdict = Verdict()
+    marks.judge(work, verdict, attempts)
+    assert verdict.broken == []
+    # The same work by an attempt that was heard of, or that nobody had given up, would be repeated.
+    for known in ({0: ["b", "c"]}, {0: ["b", None]}):
+        assert marks.count(work, known)["network cut beyond a lease"].iterations == 3
+
+
 def test_work_done_again_without_a_fault_is_noted():
     broken = judged(Marks(), iterations("0.1a", "0.2a", "0.2b"))
     assert broken == ["trial 0 repeated 1 iterations without any fault"]

@@ -1,5 +1,6 @@
 """What the coordinator does about workers that vanish, errors of tasks, and trials that come to nothing."""
 
+import pytest
 from driven import pair
 
 from services.coordinator import START_LEASE_SECONDS, WORKER_LEASE_SECONDS
@@ -47,6 +48,23 @@ def test_a_worker_process_that_is_still_starting_is_given_time(world):
     world.clock.now += START_LEASE_SECONDS - 10
     world.steps(1)
     assert world.dispatcher.killed == []
+
+
+@pytest.mark.parametrize("world", [["search.trials=1"]], indirect=True, ids=["one trial"])
+def test_a_worker_whose_predecessor_did_not_start_in_time_is_given_twice_the_time(world):
+    """On a machine that is slow for everybody, ending it at the same moment again would get nowhere."""
+    world.steps()
+    world.clock.now += START_LEASE_SECONDS + 1
+    world.steps(1)
+    assert world.attempts(0) == [AttemptState.LOST]
+    world.clock.now += 10
+    world.steps()
+    world.clock.now += 2 * START_LEASE_SECONDS - 10
+    world.steps(1)
+    assert world.attempts(0) == [AttemptState.LOST, AttemptState.RUNNING]
+    world.clock.now += 20
+    world.steps(1)
+    assert world.attempts(0) == [AttemptState.LOST, AttemptState.LOST]
 
 
 @pair
