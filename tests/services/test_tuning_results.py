@@ -1,7 +1,5 @@
 """What comparisons of searches leave on file, so that they can be made in several sittings."""
 
-import json
-
 import pytest
 
 from benchmarks import tuning
@@ -121,12 +119,3 @@ def test_what_the_comparison_does_not_know_is_refused(compare, words, capsys):
         compare(*words)
     assert refused.value.code == 2
     assert f"found {words[1]!r}" in capsys.readouterr().err
-
-
-def test_the_rows_in_the_repository_can_be_read():
-    for path in tuning.FIGURES.glob("tuning-*.jsonl"):
-        rows = [json.loads(line) for line in path.read_text().splitlines()]
-        assert rows
-        assert len({(row["search"], row["seed"], row["digest"]) for row in rows}) == len(rows)
-        assert {row["problem"] for row in rows} == {path.stem.removeprefix("tuning-")}
-        assert {row["search"] for row in rows} <= set(tuning.CONFIGS)
