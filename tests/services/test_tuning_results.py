@@ -119,3 +119,14 @@ def test_what_the_comparison_does_not_know_is_refused(compare, words, capsys):
         compare(*words)
     assert refused.value.code == 2
     assert f"found {words[1]!r}" in capsys.readouterr().err
+
+
+def test_the_rows_in_the_repository_can_be_read():
+    paths = sorted(tuning.FIGURES.glob("tuning-*.jsonl"))
+    assert paths
+    for path in paths:
+        rows = tuning.read(path)
+        assert rows
+        assert len({(row["search"], row["seed"], row["digest"]) for row in rows}) == len(rows)
+        assert {row["problem"] for row in rows} == {path.stem.removeprefix("tuning-")}
+        assert {row["search"] for row in rows} <= set(tuning.CONFIGS)
