@@ -1,7 +1,5 @@
 """What comparisons of searches leave on file, so that they can be made in several sittings."""
 
-import json
-
 import pytest
 
 from benchmarks import tuning
@@ -124,8 +122,10 @@ def test_what_the_comparison_does_not_know_is_refused(compare, words, capsys):
 
 
 def test_the_rows_in_the_repository_can_be_read():
-    for path in tuning.FIGURES.glob("tuning-*.jsonl"):
-        rows = [json.loads(line) for line in path.read_text().splitlines()]
+    paths = sorted(tuning.FIGURES.glob("tuning-*.jsonl"))
+    assert paths
+    for path in paths:
+        rows = tuning.read(path)
         assert rows
         assert len({(row["search"], row["seed"], row["digest"]) for row in rows}) == len(rows)
         assert {row["problem"] for row in rows} == {path.stem.removeprefix("tuning-")}
