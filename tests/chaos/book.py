@@ -87,4 +87,6 @@ def table(results, order):
     ]
     for (kind, database), row in sorted(sums.items(), key=lambda item: (place[item[0][0]], item[0][1])):
         lines.append(f"| {kind} | {database} | {' | '.join(str(row[name]) for name in names)} |")
-    return "\n".join(lines)
+    # A kind that is tried and never happens proves nothing, and must not look as if it did.
+    never = [kind for kind in order if not any(sums[key]["faults"] for key in list(sums) if key[0] == kind)]
+    return "\n".join([*lines, "", f"Never happened: {', '.join(never) or 'none of them'}."])

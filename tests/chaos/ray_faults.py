@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import psycopg
 from arena import NAME, wait_until
@@ -165,7 +166,8 @@ def restart_postgres(game):
 
 def cut_connections(game):
     """All connections to the database are cut by the server."""
-    name = game.arena.database.rpartition("/")[2].partition("?")[0]
+    # Before its query, which may hold the path of a socket.
+    name = urlsplit(game.arena.database).path.lstrip("/")
     with psycopg.connect(game.arena.postgres.url("postgres"), autocommit=True) as connection:
         cut = connection.execute(
             "SELECT count(pg_terminate_backend(pid)) FROM pg_stat_activity WHERE datname = %s", (name,)
