@@ -14,9 +14,12 @@ import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from sqlalchemy import make_url
+
 from services.artifacts.open import open_artifacts
 from services.errors import ArtifactDamaged, BadInput
 from services.settings import Settings
+from services.store.engine import shown
 from services.store.open import open_store
 
 PACKAGES = ("torch", "pybullet", "ray", "botorch", "optuna", "gymnasium", "sqlalchemy", "pydantic", "fastapi")
@@ -105,7 +108,7 @@ def _database(settings: Settings) -> Check:
     except BadInput as error:
         return Check("database", False, str(error), "give another one with --db or HALMA_DB")
     try:
-        return Check("database", True, f"{store.url}, {len(store.studies())} studies")
+        return Check("database", True, f"{shown(make_url(store.url))}, {len(store.studies())} studies")
     finally:
         store.close()
 

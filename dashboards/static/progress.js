@@ -15,12 +15,13 @@ export function share(study) {
   return parts.length ? Math.min(1, Math.max(...parts)) : null;
 }
 
+export const runningWords = (study) => (study.trials.running ? `${number(study.trials.running)} running` : "");
+
 export function progressWords(study) {
   const done = finished(study);
-  const running = study.trials.running ?? 0;
   const goal = study.target_trials ? ` of ${number(study.target_trials)}` : "";
   const cost = study.target_cost ? `, ${amount(study.cost.samples)} of ${amount(study.target_cost)} samples` : "";
-  return `${number(done)}${goal} done${running ? `, ${running} running` : ""}${cost}`;
+  return `${number(done)}${goal} done${cost}`;
 }
 
 export function drawProgress(bar, study) {

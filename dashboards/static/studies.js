@@ -3,7 +3,7 @@ import { actionsFor, buttons, clone } from "./actions.js";
 import { amount, duration, moment, number, stateText } from "./format.js";
 import { Live, api, whenSeen } from "./live.js";
 import { data, element } from "./plain.js";
-import { drawProgress, progressWords, share } from "./progress.js";
+import { drawProgress, progressWords, runningWords, share } from "./progress.js";
 import { drawSpark } from "./spark.js";
 
 const page = data();
@@ -66,7 +66,7 @@ function rowOf(study) {
   cells.state.firstChild.textContent = stateText(study.state);
   cells.state.firstChild.dataset.state = study.state;
   cells.state.lastChild.textContent = study.reason;
-  cells.progress.firstChild.textContent = progressWords(study);
+  cells.progress.firstChild.textContent = [progressWords(study), runningWords(study)].filter(Boolean).join(", ");
   drawProgress(cells.progress.lastChild, study);
   cells.samples.firstChild.textContent = `${amount(study.cost.samples)} samples`;
   cells.samples.lastChild.textContent = duration(study.cost.seconds);

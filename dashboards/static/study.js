@@ -4,7 +4,7 @@ import { amount, duration, number, stateText } from "./format.js";
 import { Live, api, banner, whenSeen } from "./live.js";
 import { Pace } from "./pace.js";
 import { data, isDark, setText } from "./plain.js";
-import { drawProgress, progressWords } from "./progress.js";
+import { drawProgress, progressWords, runningWords } from "./progress.js";
 import { saveButtons } from "./svg.js";
 import { Trials } from "./trials.js";
 
@@ -26,6 +26,8 @@ function facts() {
   const waits = { pause: "running", cancel: "running" }[study.wanted] === study.state;
   setText("study-reason", waits ? `${study.wanted === "pause" ? "pausing" : "cancelling"}: trials come to their next checkpoint` : study.reason);
   setText("fact-trials", progressWords(study));
+  // In the heading, where there is room: beside the number it would now and then take a second line and move the page.
+  setText("fact-running", runningWords(study));
   drawProgress(document.getElementById("progress"), study);
   setText("fact-best", `${number(study.best_value)}${page.value.unit && study.best_value !== null ? ` ${page.value.unit}` : ""}`);
   setText("fact-samples", amount(study.cost.samples));

@@ -189,6 +189,21 @@ def test_what_happens_meanwhile_is_there_without_reloading_and_the_place_is_kept
     viewer.assert_calm()
 
 
+def test_a_trial_that_starts_and_ends_moves_nothing_on_the_page(viewer, crowded):
+    record = crowded.records["few"]
+    page = opened(viewer, "/studies/few/trials")
+    top = "document.getElementById('table').getBoundingClientRect().top"
+    before = page.evaluate(top)
+    (trial,) = record.propose()
+    attempt = record.start(trial)
+    expect(page.locator("#fact-running")).to_have_text("1 running")
+    assert page.evaluate(top) == before
+    record.finish(attempt, trial, value=0.25, features=(1.5,))
+    expect(page.locator("#fact-running")).to_have_text("")
+    assert page.evaluate(top) == before
+    viewer.assert_calm()
+
+
 def test_columns_do_not_move_while_somebody_scrolls(viewer):
     page = opened(viewer, "/studies/many/trials")
     edges = "[...document.querySelectorAll('#table th')].map((th) => Math.round(th.getBoundingClientRect().left))"

@@ -35,7 +35,8 @@ class TestStudy:
         record.one(value=0.75, features=(1.5,))
         (trial,) = record.propose()
         record.start(trial)
-        expect(page.locator("#fact-trials")).to_have_text("2 of 24 done, 1 running")
+        expect(page.locator("#fact-trials")).to_have_text("2 of 24 done")
+        expect(page.locator("#fact-running")).to_have_text("1 running")
         expect(page.locator("#fact-best")).to_have_text("0.75")
         expect(rows).to_have_count(3)
         expect(page.locator("#table tr[data-number='2']")).to_contain_text("running")
@@ -75,7 +76,8 @@ class TestStudy:
         made.start(trial)
         expect(page.locator("#fact-stages")).to_have_text("search 1, novelty 0 (1 running), polish 0")
         # Three of the search, twice one of the novelty, and five times five of the polish are the most there can be.
-        expect(page.locator("#fact-trials")).to_have_text("1 of 30 done, 1 running")
+        expect(page.locator("#fact-trials")).to_have_text("1 of 30 done")
+        expect(page.locator("#fact-running")).to_have_text("1 running")
         browser.assert_calm()
 
     def test_states_are_shown_as_they_are(self, browser, record):

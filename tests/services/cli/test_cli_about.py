@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from sqlalchemy import make_url
 
 from services.spec import json_schema
 
@@ -51,6 +52,14 @@ def test_the_doctor_looks_at_everything_and_names_a_remedy(shell):
     assert checks["database"]["found"].endswith("0 studies")
     assert checks["artifacts"]["good"]
     assert [path for path in (shell.home / "halma.artifacts").rglob("*") if path.is_file()] == [], "it cleans up"
+
+
+@pytest.mark.postgres
+def test_the_doctor_keeps_the_password_of_the_database_to_itself(shell, postgres_server):
+    url = make_url(postgres_server.new_database("doctored")).set(password="sesame")
+    typed = shell("doctor", "--db", url.render_as_string(hide_password=False))
+    assert ":***@" in typed.out
+    assert "sesame" not in typed.out + typed.err
 
 
 def test_the_doctor_finds_a_broken_database_and_exits_with_1(shell):
