@@ -14,7 +14,8 @@ in its frame, mean distance, m. A training has reached z_freeze once it has mast
 Variants alternate within each seed, so that whatever else the machine does hits all alike; CPU seconds of this process.
 
 A training is a row, a JSON line, appended to `benchmarks/figures/jumps-COMPARE.jsonl` when it is over, with the
-revision of the code; what has a row for the same bounds is not trained again. So a comparison may take several sittings.
+revision of the code; what has a row for the same bounds is not trained again. A comparison may take several sittings.
+
 
 Below the medians, how alike the jumps of one take-off state with other seeds are, against those of other states: the
 distances (rad) by facing and by rotation. What counts as another strategy must lie between the two.
