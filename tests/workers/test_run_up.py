@@ -89,6 +89,14 @@ def test_run_up_and_jump_are_one_motion(run_up):
     assert com[0, 0] < com[frames - 1, 0] - 0.7
 
 
+def test_feet_that_roll_over_the_ground_do_not_sink_into_it(run_up):
+    replay, frames = recorded(run_up)
+    sunk = replay.arrays["penetration"][:frames]
+    struck = int(np.flatnonzero(sunk)[0])
+    assert frames - struck > 8
+    assert sunk[struck + 4 :].max() < 0.003
+
+
 def test_the_audit_judges_the_run_up_too(run_up):
     replay, frames = recorded(run_up)
     checks = {check.name: check for check in audit(replay).checks}

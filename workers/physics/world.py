@@ -148,8 +148,8 @@ class World:
             bullet.resetSimulation(**self._k)
             bullet.setGravity(0, -self.gravity, 0, **self._k)
             self.athlete = Athlete(self._client, self.joints)
-            # A box, no plane: against a plane Bullet finds one point of a rolling foot at a time, while the other end of
-            # it sinks by centimetres under the body's weight, and the search among bodies costs a fifth more.
+            # A box, no plane: against a plane Bullet finds one point of a rolling foot at a time, while its other end
+            # sinks by centimetres under the body's weight, and a simulated second costs a fifth more.
             self._ground = self._box([_GROUND, 1.0, _GROUND])
             self._put(self._ground, 0.0, -1.0)
             bullet.changeDynamics(self._ground, -1, lateralFriction=1.0, **self._k)
