@@ -198,16 +198,13 @@ def render_video(
         raise BadJob(f"video: expected gif or mp4, found {kind!r}")
     size = size or Size()
     count = max(2, round(replay.seconds * slower * rate))
-    # One steady camera for a jump over a bar, halfway between the take-off and the highest point. A walk would leave it
-    # behind, and so would a jump over a wide box.
-    peak = int(np.argmax(replay.arrays["com"][:, 1]))
-    at = (_centre_of_mass(replay, 0) + np.asarray(replay.arrays["com"][peak], np.float64)) / 2
-    follows = has_obstacle(replay) or not float(replay.header["mat_height"]) > 0
+    # The camera goes along, at one height, halfway between the take-off and the highest point, so that a rise is seen.
+    height = float(replay.arrays["com"][0, 1] + replay.arrays["com"][:, 1].max()) / 2
     with _scene(replay, size) as scene:
-        pictures = [
-            scene.look(time, _centre_of_mass(replay, time) if follows else at)
-            for time in np.linspace(0, replay.seconds, count)
-        ]
+        pictures = []
+        for time in np.linspace(0, replay.seconds, count):
+            x, _, z = _centre_of_mass(replay, time)
+            pictures.append(scene.look(time, np.array([x, height, z])))
     # the last picture stays for half a second
     pictures += [pictures[-1]] * (rate // 2)
     return _gif(pictures, rate) if kind == "gif" else _mp4(pictures, rate)

@@ -44,7 +44,7 @@ WINDOW = 6
 """Frames (50 ms) that a target stays."""
 _ACTIVATION: Array = np.array([[1 / 3], [2 / 3], [1.0]])
 """Share of a new target in its first frames: as in the jump, muscles take 25 ms to become active."""
-CANDIDATES, KEPT = 500, 40
+CANDIDATES, KEPT = 1000, 60
 """Targets tried in each window, and how many of them are gone on from."""
 _SIGMA = 0.25
 """rad, of what is tried about the reference's pose."""
@@ -131,7 +131,7 @@ def run_up_to(
     candidates: int = CANDIDATES,
     kept: int = KEPT,
 ) -> RunUp:
-    """The run-up to a take-off state, found anew: 16 CPU seconds at the sizes that it has by default.
+    """The run-up to a take-off state, found anew: 30 CPU seconds at the sizes that it has by default.
 
     Args:
         state: to arrive in.
