@@ -1,9 +1,10 @@
 """How soon a jump is learnt, and how natural it looks, under each of several settings, in one run.
 
-    OMP_NUM_THREADS=1 python benchmarks/jumps.py                        # P-VAE actions beside plain ones
-    OMP_NUM_THREADS=1 python benchmarks/jumps.py --compare curriculum   # by success, by reward as published, ...
-    OMP_NUM_THREADS=1 python benchmarks/jumps.py --compare rate         # 10 Hz throughout, 10 -> 30 Hz by difficulty
-    OMP_NUM_THREADS=1 python benchmarks/jumps.py --compare evaluation --states all --seeds 5
+    OMP_NUM_THREADS=1 python -m benchmarks.jumps                        # P-VAE actions beside plain ones
+    OMP_NUM_THREADS=1 python -m benchmarks.jumps --compare curriculum   # by success, by reward as published, ...
+    OMP_NUM_THREADS=1 python -m benchmarks.jumps --compare rate         # 10 Hz throughout, 10 -> 30 Hz by difficulty
+    OMP_NUM_THREADS=1 python -m benchmarks.jumps --compare evaluation --states all --seeds 5 --samples 100000
+    python -m benchmarks.jumps --compare evaluation --print             # what is on file
 
 Each training begins from one of the published take-off states of the high jump (Yin et al. 2021) and ends when the bar
 at z_freeze is mastered, or its samples are spent. Printed for each: CPU minutes, the bar that the curriculum came to,
@@ -11,6 +12,13 @@ the highest bar cleared in an audited jump, how the athlete faces over it (rad),
 captured ones: for each frame of the flight the nearest captured pose (packaged clips), bodies relative to the root and
 in its frame, mean distance, m. A training has reached z_freeze once it has mastered it (half an iteration's jumps).
 Variants alternate within each seed, so that whatever else the machine does hits all alike; CPU seconds of this process.
+
+A training is a row, a JSON line, appended to `benchmarks/figures/jumps-COMPARE.jsonl` when it is over, with the
+revision of the code; what has a row for the same bounds is not trained again. A comparison may take several sittings.
+
+
+Below the medians, how alike the jumps of one take-off state with other seeds are, against those of other states: the
+distances (rad) by facing and by rotation. What counts as another strategy must lie between the two.
 """
 
 from __future__ import annotations
@@ -20,12 +28,14 @@ import json
 import statistics
 import tempfile
 import time
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from benchmarks.tuning import read, revision
 from workers.contracts import Job
 from workers.local_context import LocalContext
 from workers.physics import clips
@@ -56,6 +66,7 @@ VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
     "rate": {"10 Hz": {}, "10 -> 30 Hz": {"control_rate_hard": 30}},
     "evaluation": {"pose": {"actions": "pose"}},
 }
+FIGURES = Path(__file__).parent / "figures"
 
 
 def captured_poses() -> cKDTree:
@@ -91,7 +102,8 @@ def train(state: str, settings: dict[str, Any], samples: int, seed: int, capture
             far = unnaturalness(Replay.from_bytes(context.artifact("replay.bin")), captured)
         return {
             "minutes": spent, "curve": curve, "level": outcome.details.get("level"), "value": outcome.value,
-            "facing": outcome.details.get("facing"), "samples": outcome.cost.samples,
+            "facing": outcome.details.get("facing"), "rotation": outcome.details.get("rotation"),
+            "samples": outcome.cost.samples,
             "reached": mastered >= settings["z_freeze"], "far": far,
             "name": outcome.details.get("name") or outcome.message,
         }  # fmt: skip
@@ -101,6 +113,55 @@ def show(figure: float | None, digits: int) -> str:
     return "-" if figure is None else f"{figure:.{digits}f}"
 
 
+def apart(one: dict[str, Any], other: dict[str, Any]) -> tuple[float, float]:
+    """How differently two jumps face and are turned over the bar, rad."""
+    alike = abs(float(np.dot(one["rotation"], other["rotation"])))
+    return abs(one["facing"] - other["facing"]), 2 * float(np.arccos(min(alike, 1.0)))
+
+
+def print_rows(rows: list[dict[str, Any]]) -> None:
+    for row in rows:
+        print(
+            f"{row['state']:14}{row['variant']:14}{row['seed']:5d}{row['minutes']:9.2f}{row['samples']:9,}"
+            f"{show(row['level'], 2):>7}{show(row['value'], 2):>7}{show(row['facing'], 2):>8}{show(row['far'], 3):>9}"
+            f"  {row['name']}",
+            flush=True,
+        )
+
+
+def print_medians(rows: list[dict[str, Any]]) -> None:
+    print(
+        f"\n{'variant':14}{'state':14}{'reached':>9}{'CPU min':>19}{'bar':>7}{'far (m)':>9}   medians, and their range"
+    )
+    for variant in dict.fromkeys(row["variant"] for row in rows):
+        of_variant = [row for row in rows if row["variant"] == variant]
+        for state in [*dict.fromkeys(row["state"] for row in of_variant), "all"]:
+            own = [row for row in of_variant if state in {"all", row["state"]}]
+            minutes = [row["minutes"] for row in own]
+            spread = f"{statistics.median(minutes):.2f} ({min(minutes):.2f}-{max(minutes):.2f})"
+            print(
+                f"{variant:14}{state:14}{sum(row['reached'] for row in own):>6}/{len(own)}{spread:>19}"
+                f"{show(_middle(own, 'value'), 2):>7}{show(_middle(own, 'far'), 3):>9}"
+            )
+
+
+def _middle(rows: list[dict[str, Any]], key: str) -> float | None:
+    known = [row[key] for row in rows if row[key] is not None]
+    return statistics.median(known) if known else None
+
+
+def print_distances(rows: list[dict[str, Any]]) -> None:
+    print(f"\n{'variant':14}{'pairs':>16}{'facing: median, 90 %':>24}{'rotation: median, 90 %':>26}")
+    for variant in dict.fromkeys(row["variant"] for row in rows):
+        own = [row for row in rows if row["variant"] == variant and row["rotation"] is not None]
+        pairs = [(a["state"] == b["state"], apart(a, b)) for a, b in combinations(own, 2)]
+        for same, name in ((True, "of one state"), (False, "of two states")):
+            found = np.array([distance for alike, distance in pairs if alike is same])
+            if len(found):
+                (f50, r50), (f90, r90) = np.quantile(found, [0.5, 0.9], axis=0)
+                print(f"{variant:14}{len(found):4d} {name}{f50:16.2f} {f90:7.2f}{r50:18.2f} {r90:7.2f}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--compare", choices=list(VARIANTS), default="poses")
@@ -108,46 +169,45 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--samples", type=int, default=15_000)
     parser.add_argument("--z-freeze", type=float, default=1.0)
-    parser.add_argument("--json", type=Path, help="write everything there, curves too")
+    parser.add_argument("--results", type=Path, help="where rows are; default: benchmarks/figures/jumps-COMPARE.jsonl")
+    parser.add_argument("--print", action="store_true", help="only print what is on file")
     options = parser.parse_args()
     states = list(STATES) if options.states == "all" else [name.strip() for name in options.states.split(",")]
-    variants = VARIANTS[options.compare]
+    path = options.results or FIGURES / f"jumps-{options.compare}.jsonl"
+    bounds = {"samples_allowed": options.samples, "z_freeze": options.z_freeze}
+    print(f"{'state':14}{'variant':14}{'seed':>5}{'CPU min':>9}{'samples':>9}", end="")
+    print(f"{'level':>7}{'bar':>7}{'facing':>8}{'far (m)':>9}  name")
+    rows = [row for row in read(path) if bounds.items() <= row.items()]
+    print_rows(rows)
+    if not options.print:
+        _train_what_is_missing(options.compare, states, options.seeds, bounds, rows, path)
+    if rows:
+        print_medians(rows)
+        print_distances(rows)
+
+
+def _train_what_is_missing(
+    compare: str, states: list[str], seeds: int, bounds: dict[str, Any], rows: list[dict[str, Any]], path: Path
+) -> None:
     captured = captured_poses()
-    if options.compare in {"poses", "evaluation"}:
+    if compare in {"poses", "evaluation"}:
         from workers.poses.training import default_model  # noqa: PLC0415 - trained once, outside of the timings
 
         default_model()
-    print(f"{'state':14}{'variant':14}{'seed':>5}{'CPU min':>9}{'level':>7}{'bar':>7}{'facing':>8}{'far (m)':>9}  name")
-    rows: list[dict[str, Any]] = []
-    for seed in range(1, options.seeds + 1):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    known = {(row["state"], row["variant"], row["seed"]) for row in rows}
+    for seed in range(1, seeds + 1):
         for state in states:
-            for name, settings in variants.items():
-                asked = {"z_freeze": options.z_freeze, **settings}
-                row = {"state": state, "variant": name, "seed": seed}
-                row |= train(state, asked, options.samples, seed, captured)
+            for variant, settings in VARIANTS[compare].items():
+                if (state, variant, seed) in known:
+                    continue
+                asked = {"z_freeze": bounds["z_freeze"], **settings}
+                row = {"state": state, "variant": variant, "seed": seed, **bounds, "revision": revision()}
+                row |= train(state, asked, bounds["samples_allowed"], seed, captured)
                 rows.append(row)
-                print(
-                    f"{state:14}{name:14}{seed:5d}{row['minutes']:9.2f}{show(row['level'], 2):>7}"
-                    f"{show(row['value'], 2):>7}{show(row['facing'], 2):>8}{show(row['far'], 3):>9}  {row['name']}",
-                    flush=True,
-                )
-                if options.json:
-                    options.json.write_text(json.dumps(rows))
-    print("\nmedians, and the range of the minutes")
-    print(f"{'variant':14}{'reached':>9}{'CPU min':>17}{'level':>7}{'bar':>7}{'far (m)':>9}")
-    for name in variants:
-        own = [row for row in rows if row["variant"] == name]
-        minutes = [row["minutes"] for row in own]
-        spread = f"{statistics.median(minutes):.2f} ({min(minutes):.1f}-{max(minutes):.1f})"
-
-        def middle(key: str, own: list[dict[str, Any]] = own) -> float | None:
-            known = [row[key] for row in own if row[key] is not None]
-            return statistics.median(known) if known else None
-
-        print(
-            f"{name:14}{sum(row['reached'] for row in own):>6}/{len(own)}{spread:>17}{show(middle('level'), 2):>7}"
-            f"{show(middle('value'), 2):>7}{show(middle('far'), 3):>9}"
-        )
+                with path.open("a") as file:
+                    file.write(json.dumps(row) + "\n")
+                print_rows([row])
 
 
 if __name__ == "__main__":

@@ -1,11 +1,14 @@
 """The obstacle jump: where it begins, what counts as over, and a whole trial of a few seconds."""
 
+import io
+
 import numpy as np
 import pytest
+from PIL import Image
 
 from workers.contracts import BadSetting, Job
 from workers.local_context import LocalContext
-from workers.physics.rendering import render_frame
+from workers.physics.rendering import Size, render_frame, render_video
 from workers.physics.world import Contacts, World
 from workers.registry import load_task
 from workers.replay import Replay
@@ -50,6 +53,17 @@ def test_a_trial_reports_the_widest_obstacle_of_an_audited_jump(trial):
     assert ObstacleJump().simulate(job(), policy).to_bytes() == replay.to_bytes()
     assert ObstacleJump().audit(job(), policy, 2).passed
     assert len(render_frame(replay, 0.3)) > 1000
+    assert limbs(replay, 0.0) > 50
+    assert limbs(replay, replay.seconds) > 50, "who lands is seen, not hidden by the box"
+
+
+def limbs(replay, time):
+    """Pixels of the right limbs in a video, which are blue."""
+    video = Image.open(io.BytesIO(render_video(replay, kind="gif", slower=1.0, rate=20, size=Size(160, 120))))
+    video.seek(min(round(time * 20), video.n_frames - 1))
+    picture = np.asarray(video.convert("RGB")).astype(int)
+    red, green, blue = picture[..., 0], picture[..., 1], picture[..., 2]
+    return int(((blue > red + 50) & (blue > green + 30)).sum())
 
 
 def test_the_same_job_gives_the_same_weights_again(trial, tmp_path):

@@ -17,7 +17,7 @@ from workers.tasks.high_jump.settings import HighJumpSettings, ObstacleJumpSetti
 
 SIDE = {"alpha": 0.70, "omega_x": -1.44, "omega_z": 0.44, "v_z": -1.99}
 STATE = HighJumpSettings().take_off(SIDE)
-SMALL = {"seconds": 0.3, "candidates": 200, "kept": 20}
+SMALL = {"seconds": 0.3, "candidates": 200, "kept": 20, "rounds": 1}
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +53,15 @@ def test_the_reference_comes_from_where_the_approach_comes_from_at_its_speed(sta
 
 def test_a_run_up_follows_its_reference_and_one_that_only_repeats_the_clip_does_not(run_up):
     found = arrival(run_up, STATE, JOINTS)
-    without = arrival(run_up_to(STATE, JOINTS, seconds=0.3, candidates=1, kept=1), STATE, JOINTS)
+    without = arrival(run_up_to(STATE, JOINTS, seconds=0.3, candidates=1, kept=1, rounds=0), STATE, JOINTS)
     assert found.velocity < 0.75 * without.velocity
     assert found.place < 0.3
+
+
+def test_the_last_targets_are_improved_for_the_take_off(run_up):
+    found, before = (arrival(run_up_to(STATE, JOINTS, **{**SMALL, "rounds": n}), STATE, JOINTS) for n in (1, 0))
+    assert found.velocity < 0.9 * before.velocity
+    assert found.spin < 0.75 * before.spin
 
 
 def test_the_same_take_off_state_has_the_same_run_up(run_up):
@@ -87,6 +93,14 @@ def test_run_up_and_jump_are_one_motion(run_up):
     assert np.abs(moved - (velocity[1:] + velocity[:-1]) / 2).max() < 0.5
     # and it comes from far away, running
     assert com[0, 0] < com[frames - 1, 0] - 0.7
+
+
+def test_feet_that_roll_over_the_ground_do_not_sink_into_it(run_up):
+    replay, frames = recorded(run_up)
+    sunk = replay.arrays["penetration"][:frames]
+    struck = int(np.flatnonzero(sunk)[0])
+    assert frames - struck > 8
+    assert sunk[struck + 4 :].max() < 0.008
 
 
 def test_the_audit_judges_the_run_up_too(run_up):

@@ -33,6 +33,8 @@ _BAR_HALF_WIDTH = 2.0
 _KINDS = {"sphere": bullet.GEOM_SPHERE, "capsule": bullet.GEOM_CAPSULE, "box": bullet.GEOM_BOX}
 _EYE = np.array([-1.7, 0.55, 3.1])
 """From what is looked at to the camera, m: beside the bar, on the side that the athlete comes from."""
+_EYE_BESIDE = np.array([-0.4, 0.75, 3.2])
+"""The same for an obstacle: from the side, or the box would hide who lands behind it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,7 @@ class Scene:
     def __init__(self, replay: Replay, size: Size) -> None:
         self._replay = replay
         self._size = size
+        self._eye = _EYE_BESIDE if has_obstacle(replay) else _EYE
         with quiet():
             self._client = bullet.connect(bullet.DIRECT)
             self._k = {"physicsClientId": self._client}
@@ -114,8 +117,8 @@ class Scene:
                 self._box((0.015, 0.002, 1.5), (float(x), 0.0, 0.0), (0.9, 0.9, 0.9, 1.0))
             return
         self._box((3.1, 0.01, 6.0), (-3.0, -0.01, 0.0), (0.80, 0.42, 0.33, 1.0))
-        wall = float(self._replay.header["wall_half_thickness"])
-        if wall > WALL_HALF_THICKNESS:  # an obstacle to be jumped over whole
+        if has_obstacle(self._replay):
+            wall = float(self._replay.header["wall_half_thickness"])
             self._box((2.0, mat / 2, 3.0), (wall + 2.0, mat / 2, 0.0), (0.36, 0.60, 0.52, 1.0))
             self._box((wall, bar / 2, _BAR_HALF_WIDTH), (0.0, bar / 2, 0.0), (0.95, 0.80, 0.15, 1.0))
             return
@@ -133,7 +136,7 @@ class Scene:
         frame = int(np.clip(round(time / float(self._replay.header["frame_seconds"])), 0, self._replay.frames - 1))
         self._place(frame)
         width, height = self._size.width, self._size.height
-        view = bullet.computeViewMatrix((at + _EYE).tolist(), at.tolist(), [0, 1, 0])
+        view = bullet.computeViewMatrix((at + self._eye).tolist(), at.tolist(), [0, 1, 0])
         projection = bullet.computeProjectionMatrixFOV(42, width / height, 0.1, 20)
         pixels = bullet.getCameraImage(
             width,
@@ -146,6 +149,11 @@ class Scene:
             **self._k,
         )[2]
         return np.asarray(pixels, np.uint8).reshape(height, width, 4)[:, :, :3]
+
+
+def has_obstacle(replay: Replay) -> bool:
+    """Whether there is a box to be jumped over whole, and no bar."""
+    return float(replay.header["wall_half_thickness"]) > WALL_HALF_THICKNESS
 
 
 @contextmanager
@@ -190,15 +198,13 @@ def render_video(
         raise BadJob(f"video: expected gif or mp4, found {kind!r}")
     size = size or Size()
     count = max(2, round(replay.seconds * slower * rate))
-    # one steady camera for a jump, halfway between the take-off and the highest point; a walk leaves it behind
-    peak = int(np.argmax(replay.arrays["com"][:, 1]))
-    at = (_centre_of_mass(replay, 0) + np.asarray(replay.arrays["com"][peak], np.float64)) / 2
-    follows = not float(replay.header["mat_height"]) > 0
+    # The camera goes along, at one height, halfway between the take-off and the highest point, so that a rise is seen.
+    height = float(replay.arrays["com"][0, 1] + replay.arrays["com"][:, 1].max()) / 2
     with _scene(replay, size) as scene:
-        pictures = [
-            scene.look(time, _centre_of_mass(replay, time) if follows else at)
-            for time in np.linspace(0, replay.seconds, count)
-        ]
+        pictures = []
+        for time in np.linspace(0, replay.seconds, count):
+            x, _, z = _centre_of_mass(replay, time)
+            pictures.append(scene.look(time, np.array([x, height, z])))
     # the last picture stays for half a second
     pictures += [pictures[-1]] * (rate // 2)
     return _gif(pictures, rate) if kind == "gif" else _mp4(pictures, rate)
