@@ -4,6 +4,7 @@
     OMP_NUM_THREADS=1 python -m benchmarks.jumps --compare curriculum   # by success, by reward as published, ...
     OMP_NUM_THREADS=1 python -m benchmarks.jumps --compare rate         # 10 Hz throughout, 10 -> 30 Hz by difficulty
     OMP_NUM_THREADS=1 python -m benchmarks.jumps --compare evaluation --states all --seeds 5 --samples 100000
+    OMP_NUM_THREADS=1 python -m benchmarks.jumps --compare run_up       # the curved sprint needs ../shared/mocap/jumps
     python -m benchmarks.jumps --compare evaluation --print             # what is on file
 
 Each training begins from one of the published take-off states of the high jump (Yin et al. 2021) and ends when the bar
@@ -52,6 +53,7 @@ STATES: dict[str, dict[str, float]] = {
     "side dive": {"v_z": -1.83, "omega_x": -2.78, "omega_z": -0.32, "alpha": 1.18},
     "side jump": {"v_z": -1.99, "omega_x": -1.44, "omega_z": 0.44, "alpha": 0.70},
 }
+CLIPS = Path(__file__).resolve().parents[2] / "shared" / "mocap" / "jumps"
 VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
     "poses": {
         "offset": {},
@@ -65,6 +67,11 @@ VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
     },
     "rate": {"10 Hz": {}, "10 -> 30 Hz": {"control_rate_hard": 30}},
     "evaluation": {"pose": {"actions": "pose"}},
+    "run_up": {
+        "none": {},
+        "packaged run": {"run_up": True},
+        "curved sprint": {"run_up": True, "run_up_clip": str(CLIPS / "VC5_sprint__curves_03.txt")},
+    },
 }
 FIGURES = Path(__file__).parent / "figures"
 

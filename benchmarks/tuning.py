@@ -66,6 +66,9 @@ CONFIGS: Mapping[str, tuple[str, bool]] = {
 }
 """Name in tables -> strategy, whether policies are handed on."""
 
+PHYSICS = "the ground is a box"
+"""Part of what a row was run on, decision 14: what was measured in another world is not compared."""
+
 SHARES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the cost that the table has columns for."""
 
@@ -91,7 +94,7 @@ class Run:
         """Of all that searches have in common; rows are compared where it is the same."""
         spec = self.spec
         space = {name: each.model_dump(mode="json") for name, each in (spec.space or {}).items()}
-        common = [spec.task.name, spec.task.settings, spec.training, space, self.budget]
+        common = [PHYSICS, spec.task.name, spec.task.settings, spec.training, space, self.budget]
         return hashlib.sha256(json.dumps(common, sort_keys=True).encode()).hexdigest()[:12]
 
     @property

@@ -9,15 +9,16 @@ from services.address import find_server
 from services.cli.findings import report
 from services.cli.progress import shown_progress
 from services.cli.session import Session, say, warn
+from services.cli.words import several
 from services.driver import DriverWatch, driving_words, lives
 from services.errors import HalmaError, InterruptedByUser, StudyDriven
 from services.stages import stage_names
-from services.states import StudyState
+from services.states import StudyState, TrialState
 from services.store.port import StudyRow
 
 
 class StudyFailed(HalmaError):
-    """The study was stopped by the service; its reason has been printed."""
+    """The study was stopped by the service, or no trial of it came to anything; the reason has been printed."""
 
 
 def is_driven_elsewhere(row: StudyRow) -> bool:
@@ -99,9 +100,21 @@ def drive_here(
         ) from None
     except StudyDriven as error:
         raise StudyDriven(_driven(opened.store.study(name))) from error
-    report(opened, opened.store.study(name))
+    row = opened.store.study(name)
+    report(opened, row)
     if row.state is StudyState.FAILED:
         raise StudyFailed(f"{name} failed; the reason is above. All of a trial's words: halma trials {name} --json")
+    ended = sum(row.counts.values())
+    if row.state is StudyState.COMPLETE and ended and not _has_results(row):
+        raise StudyFailed(
+            f"{name}: expected a result, found none in {several(ended, 'trial')}; what ended the newest is above. "
+            f"halma task check with the study file tells what to mend; then go on: halma extend {name} --trials {ended}"
+        )
+
+
+def _has_results(row: StudyRow) -> bool:
+    """Whether a trial came to a value, or to the knowledge that there is none."""
+    return any(row.counts.get(state) for state in (TrialState.COMPLETE, TrialState.INFEASIBLE))
 
 
 def _pools(row: StudyRow, cores: int | None) -> dict[str, int] | None:

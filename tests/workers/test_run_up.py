@@ -1,5 +1,7 @@
 """The run-up, with few candidates: what matters is that it is one motion, and the same one each time."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from workers.physics.world import FRAME, World
 from workers.replay import Recorder
 from workers.tasks.high_jump import takeoff
 from workers.tasks.high_jump.env import HighJumpEnv
-from workers.tasks.high_jump.run_up import WINDOW, arrival, reference_of, run_up_to
+from workers.tasks.high_jump.run_up import WINDOW, arrival, captured_run, reference_of, run_up_to
 from workers.tasks.high_jump.settings import HighJumpSettings, ObstacleJumpSettings
 
 SIDE = {"alpha": 0.70, "omega_x": -1.44, "omega_z": 0.44, "v_z": -1.99}
@@ -34,7 +36,7 @@ def start():
 
 
 def test_the_reference_ends_in_the_take_off_state_at_its_velocities(start):
-    found = reference_of(start, clips.load("run"), 1, 0.6).at(0.6)
+    found = reference_of(start, captured_run(None), 0.6).at(0.6)
     assert found.root == pytest.approx(start.position, abs=1e-6)
     assert rotations.angle_between(found.orientation, start.orientation) < 1e-6
     assert found.pose == pytest.approx(start.pose, abs=1e-6)
@@ -43,7 +45,7 @@ def test_the_reference_ends_in_the_take_off_state_at_its_velocities(start):
 
 
 def test_the_reference_comes_from_where_the_approach_comes_from_at_its_speed(start):
-    reference = reference_of(start, clips.load("run"), 1, 0.6)
+    reference = reference_of(start, captured_run(None), 0.6)
     way = (reference.at(0.3).root - reference.at(0.0).root) / 0.3
     assert way[[0, 2]] == pytest.approx(start.velocity[[0, 2]], abs=0.05)
     # it faces where it runs
@@ -146,3 +148,70 @@ def test_an_obstacle_is_run_up_to_from_where_it_is_wide(run_up):
 def test_a_run_up_is_none_of_a_jump_that_begins_in_the_air():
     with pytest.raises(BadSetting, match="expected none with formulation: flight"):
         HighJumpSettings.parse({"formulation": "flight", "run_up": True})
+
+
+RAW = np.array(json.loads((clips.packaged()[0].parent / "humanoid3d_run.txt").read_text())["Frames"])
+
+
+def written(folder, *, cycles=2.0, jumps=True, radius=None):
+    """A file of the packaged run that goes round and round, as on a circle to its left, and ends in a jump."""
+    period, cycle = RAW[0, 0], len(RAW) - 1
+    count = round(cycles * cycle) + 5
+    frames = np.stack([RAW[i % cycle] for i in range(count)])
+    advance = RAW[-1, 1] - RAW[0, 1]
+    frames[:, 1] = [RAW[i % cycle, 1] + i // cycle * advance for i in range(count)]
+    flight = np.repeat(frames[-1:], round(0.5 / period), 0)
+    time = period * (1 + np.arange(len(flight)))
+    flight[:, 1] += advance / (cycle * period) * time
+    flight[:, 2] += 3.0 * time - 9.81 / 2 * time**2
+    frames = np.concatenate([frames, flight if jumps else np.repeat(frames[-1:], 60, 0)])
+    if radius is not None:
+        way = frames[:, 1] / radius
+        for frame, angle in zip(frames, way, strict=True):
+            frame[[1, 3]] = radius * np.sin(angle), -radius * (1 - np.cos(angle))
+            w, x, y, z = frame[4:8]
+            turned = rotations.multiply(rotations.from_rotation_vector(np.array([0, angle, 0])), np.array([x, y, z, w]))
+            frame[4:8] = turned[[3, 0, 1, 2]]
+    path = folder / "run.txt"
+    path.write_text(json.dumps({"Loop": "none", "Frames": frames.tolist()}))
+    return str(path)
+
+
+def test_a_run_from_a_file_ends_in_the_last_support_before_its_jump(tmp_path):
+    run = captured_run(written(tmp_path))
+    assert not run.cyclic
+    assert abs(run.frame - 2 * (len(RAW) - 1) - takeoff.MID_SUPPORT_FRAME) <= 3
+
+
+def test_a_run_up_goes_along_the_curve_of_its_clip_and_ends_in_the_take_off_state(tmp_path, start):
+    reference = reference_of(start, captured_run(written(tmp_path, radius=5.0)), 0.6)
+    ways = [reference.at(t).velocity for t in (0.05, 0.3, 0.6)]
+    first, middle, last = (np.arctan2(-v[2], v[0]) for v in ways)
+    assert [np.hypot(v[0], v[2]) for v in ways] == pytest.approx([np.hypot(*start.velocity[[0, 2]])] * 3, rel=0.05)
+    # 0.3 s at some 4 m/s are a quarter of a radian of a circle with a radius of 5 m
+    assert middle - first == pytest.approx(0.25, abs=0.07)
+    assert last == pytest.approx(np.arctan2(-start.velocity[2], start.velocity[0]), abs=0.02)
+    ahead = rotations.rotate(reference.at(0.05).orientation, np.array([1.0, 0.0, 0.0]))
+    assert np.arctan2(-ahead[2], ahead[0]) == pytest.approx(first, abs=0.3)
+    found = reference.at(0.6)
+    assert found.root == pytest.approx(start.position, abs=1e-6)
+    assert found.pose == pytest.approx(start.pose, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"jumps": False}, "expected a run that ends in a jump of 0.25 s or more, found at most 0.1"),
+        ({"cycles": 2.5}, "expected a take-off from the right foot, found one from the left"),
+        ({"cycles": 0.0}, "expected a run of 0.8 s or more before a jump, found its take-off at 0"),
+    ],
+)
+def test_a_clip_that_is_no_run_up_is_refused_with_where_and_why(tmp_path, options, message):
+    settings = {"run_up": True, "run_up_clip": written(tmp_path, **options)}
+    with pytest.raises(BadSetting, match=r"run_up_clip.*" + message):
+        HighJumpSettings.parse(settings)
+
+
+def test_a_clip_is_none_of_a_jump_without_a_run_up(tmp_path):
+    with pytest.raises(BadSetting, match=r"run_up_clip.*expected none with run_up: false"):
+        HighJumpSettings.parse({"run_up_clip": written(tmp_path)})

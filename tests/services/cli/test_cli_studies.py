@@ -195,10 +195,14 @@ def test_a_study_whose_every_trial_fails_stops_with_the_reason_and_exit_code_1(s
     assert typed.err == "hill failed; the reason is above. All of a trial's words: halma trials hill --json\n"
 
 
-def test_trials_that_become_nan_are_diverged_and_the_study_goes_on(shell, hill):
+def test_trials_that_become_nan_are_diverged_and_a_study_of_nothing_else_says_what_to_do(shell, hill):
     shell.write("a.yaml", hill.replace(":hill", ":fog"))
     typed = shell("run", "a.yaml", "--inline")
-    assert typed.code == 0
+    assert typed.code == 1
+    assert typed.err == (
+        "hill: expected a result, found none in 4 trials; what ended the newest is above. halma task check with the "
+        "study file tells what to mend; then go on: halma extend hill --trials 4\n"
+    )
     assert "hill is complete: 4 trials, no strategy that works" in typed.out
     assert "The newest trial is diverged: " in typed.out
     assert [trial["state"] for trial in shell("trials", "hill", "--json").json] == ["diverged"] * 4

@@ -94,21 +94,26 @@ def flight_frames(replay: Replay) -> tuple[int, int]:
 
 
 def flight_of_clip(clip: Clip) -> Flight:
-    """The flight of a captured jump: its longest stretch in which the centre of mass falls freely.
+    """The flight of a captured jump (see `flight_span`). Raises `BadClip` where there is none."""
+    start, end = flight_span(clip)
+    return _relative(skeleton().forward(clip.pose, clip.root, clip.orientation).position[start:end], clip.period)
 
-    Capture tells no contacts, and its second derivative is rough: what counts as free is half of gravity. Raises
-    `BadClip` where there is no such stretch.
+
+def flight_span(clip: Clip) -> tuple[int, int]:
+    """First frame of a captured jump's flight, and the one behind its last: where its centre of mass falls longest.
+
+    Capture tells no contacts, and its second derivative is rough: what counts as falling freely is half of gravity.
+    Raises `BadClip` where there is no such stretch.
     """
     body = skeleton()
-    position = body.forward(clip.pose, clip.root, clip.orientation).position
-    height = body.centre_of_mass(position)[:, 1]
+    height = body.centre_of_mass(body.forward(clip.pose, clip.root, clip.orientation).position)[:, 1]
     free = np.gradient(np.gradient(height, clip.period), clip.period) < -GRAVITY / 2
     edges = np.flatnonzero(np.diff(np.concatenate([[False], free, [False]]).astype(int)))
     starts, ends = edges[::2], edges[1::2]
     if len(starts) == 0:
         raise clips.BadClip("captured jump: expected a flight, found none in which the centre of mass falls freely")
     longest = int((ends - starts).argmax())
-    return _relative(position[starts[longest] : ends[longest]], clip.period)
+    return int(starts[longest]), int(ends[longest])
 
 
 def _relative(position: Array, period: float) -> Flight:

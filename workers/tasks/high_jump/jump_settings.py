@@ -14,11 +14,13 @@ from workers.contracts import JSON, BadJob, BadSetting, ParameterSpec, Scalar
 from workers.learning.problem import RewardCurriculum, SuccessCurriculum
 from workers.learning.settings import Rule, refuse_unknown, setting
 from workers.physics.athlete import Joint
+from workers.physics.clips import BadClip
 from workers.physics.world import GRAVITY
 from workers.poses.model import PoseModel
 from workers.tasks.high_jump import rules
 from workers.tasks.high_jump.behaviour import FeatureName
 from workers.tasks.high_jump.rules import Landing
+from workers.tasks.high_jump.run_up import captured_run
 from workers.tasks.high_jump.takeoff import Formulation, TakeOff
 from workers.tasks.high_jump.variations import Cast, Spine, varied_joints
 
@@ -77,6 +79,8 @@ class JumpSettings(ABC):
         spine: `free`, or `stiff`: it doesn't bend back.
         cast: which leg's knee is in a cast that keeps it all but straight: `none`, `take_off` or `swing`.
         run_up: whether the athlete runs up to the take-off state, and jumps from where that arrives; `support` only.
+        run_up_clip: file of a captured run that ends in a jump from the right foot, which the run-up follows; None: the
+            packaged run.
         poses: file of the pose model, of `halma poses train`; None: the model of the packaged clips.
     """
 
@@ -109,6 +113,7 @@ class JumpSettings(ABC):
         default="none", metadata={"rule": Rule("str", choices=("none", "take_off", "swing"))}
     )
     run_up: bool = setting(False, Rule("bool"))
+    run_up_clip: str | None = setting(None, Rule("path", optional=True))
     poses: str | None = setting(None, Rule("path", optional=True))
 
     @classmethod
@@ -136,6 +141,15 @@ class JumpSettings(ABC):
             raise BadSetting(
                 SECTION, "run_up", "expected none with formulation: flight, which begins after it; write support"
             )
+        if self.run_up_clip is not None:
+            if not self.run_up:
+                raise BadSetting(
+                    SECTION, "run_up_clip", "expected none with run_up: false, found one; write run_up: true"
+                )
+            try:
+                captured_run(self.run_up_clip)
+            except BadClip as error:
+                raise BadSetting(SECTION, "run_up_clip", str(error)) from None
         if self.poses is not None and self.actions != "pose":
             raise BadSetting(SECTION, "poses", "expected none with actions: offset, found one; write actions: pose")
         try:

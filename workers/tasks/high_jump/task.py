@@ -91,7 +91,8 @@ class JumpProblem:
 
     def run_up(self) -> RunUp | None:
         """What leads to the take-off state, or None where the jump begins in it."""
-        return run_up_to(self.state, self.settings.joints(), self.settings.gravity) if self.settings.run_up else None
+        s = self.settings
+        return run_up_to(self.state, s.joints(), s.gravity, s.run_up_clip) if s.run_up else None
 
     def curriculum(self) -> Curriculum:
         """The levels, from the first to the one that ends the training.

@@ -19,13 +19,11 @@ hand threw two bodies of three about and down.
 
 from __future__ import annotations
 
-import math
 import tempfile
 from pathlib import Path
 
 import numpy as np
 import pybullet as bullet
-import pybullet_data
 from numpy.typing import NDArray
 
 from workers.physics.rotations import Array
@@ -46,6 +44,8 @@ DAMPING = 5.0
 """N m s/rad in every hinge."""
 FASTEST = 30.0
 """rad/s; no hinge turns faster."""
+_GROUND = 100.0
+"""m that the floor extends to each side."""
 JOINTS = list(range(len(HINGES)))
 LOW: Array = np.array([hinge.low for hinge in HINGES])
 HIGH: Array = np.array([hinge.high for hinge in HINGES])
@@ -81,9 +81,9 @@ class WalkerWorld:
                 path.write_text(self._urdf, encoding="utf-8")
                 flags = bullet.URDF_USE_INERTIA_FROM_FILE | bullet.URDF_MAINTAIN_LINK_ORDER
                 self.body: int = bullet.loadURDF(str(path), [0, self.figure.height, 0], flags=flags, **self._k)
-            floor = Path(pybullet_data.getDataPath()) / "plane_implicit.urdf"
-            upright = bullet.getQuaternionFromEuler([-math.pi / 2, 0, 0])
-            self._floor = bullet.loadURDF(str(floor), [0, 0, 0], upright, useMaximalCoordinates=True, **self._k)
+        # A box, no plane, into which feet sink as they roll (see `World` of the athlete).
+        ground = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=[_GROUND, 1.0, _GROUND], **self._k)
+        self._floor = bullet.createMultiBody(0, ground, -1, [0, -1.0, 0], **self._k)
         bullet.changeDynamics(self._floor, -1, lateralFriction=1.0, **self._k)
         for link in range(-1, len(JOINTS)):
             bullet.changeDynamics(
