@@ -15,8 +15,8 @@ in its frame, mean distance, m. A training has reached z_freeze once it has mast
 Variants alternate within each seed, so that whatever else the machine does hits all alike; CPU seconds of this process.
 
 A training is a row, a JSON line, appended to `benchmarks/figures/jumps-COMPARE.jsonl` when it is over, with the
-revision of the code; what has a row for the same bounds is not trained again. A comparison may take several sittings.
-
+revision of the code; what has a row for the same bounds is not trained again. A comparison may take several sittings,
+and several of them at once where they have other states. `--print` shows all rows, whatever their bounds.
 
 Below the medians, how alike the jumps of one take-off state with other seeds are, against those of other states: the
 distances (rad) by facing and by rotation. What counts as another strategy must lie between the two.
@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from benchmarks.tuning import read, revision
+from benchmarks.tuning import PHYSICS, read, revision
 from workers.contracts import Job
 from workers.local_context import LocalContext
 from workers.physics import clips
@@ -181,10 +181,10 @@ def main() -> None:
     options = parser.parse_args()
     states = list(STATES) if options.states == "all" else [name.strip() for name in options.states.split(",")]
     path = options.results or FIGURES / f"jumps-{options.compare}.jsonl"
-    bounds = {"samples_allowed": options.samples, "z_freeze": options.z_freeze}
+    bounds = {"physics": PHYSICS, "samples_allowed": options.samples, "z_freeze": options.z_freeze}
     print(f"{'state':14}{'variant':14}{'seed':>5}{'CPU min':>9}{'samples':>9}", end="")
     print(f"{'level':>7}{'bar':>7}{'facing':>8}{'far (m)':>9}  name")
-    rows = [row for row in read(path) if bounds.items() <= row.items()]
+    rows = [row for row in read(path) if options.print or bounds.items() <= row.items()]
     print_rows(rows)
     if not options.print:
         _train_what_is_missing(options.compare, states, options.seeds, bounds, rows, path)

@@ -1,8 +1,6 @@
 """The transitions of trials and their attempts: proposed, started, reported, ended.
 
-Every guard is in the WHERE of the first statement that writes, so a transition that is refused has written nothing.
-An attempt that is not `running` any more has lost its lease, whoever took it: nothing but its state and its token
-decides, no clock does.
+Their guards are in the statements (`trial_statements`); here is what a transition is made of, and what a refusal says.
 """
 
 from __future__ import annotations
@@ -10,135 +8,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sqlalchemy import bindparam, func, select, update
-from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy import select
 
 from services.errors import Refused
 from services.states import OBSERVED_TRIAL, AttemptState, TrialState
+from services.store import trial_statements as statements
 from services.store.journal import Journal
 from services.store.port import JSON, AttemptRow, NewTrial, Result, TrialRow
-from services.store.rows import ATTEMPT, TRIAL, amount, attempt_row, clean, encode, finite, seed_text, trial_row
-from services.store.schema import artifacts, attempts, metrics, proposals, studies, trials
-
-_DRIVEN = select(studies.c.id).where(
-    studies.c.id == trials.c.study_id,
-    studies.c.drive_token == bindparam("held_token"),
-    studies.c.driver_id.is_not(None),
-)
-_NUMBER_TRIALS = (
-    update(studies)
-    .where(studies.c.id == bindparam("study"), studies.c.drive_token == bindparam("held_token"))
-    .where(studies.c.driver_id.is_not(None))
-    .values(trial_count=studies.c.trial_count + bindparam("more"))
-    .returning(studies.c.trial_count)
-)
-_ADD_PROPOSAL = proposals.insert().returning(proposals.c.id)
-_ADD_TRIALS = trials.insert().returning(*TRIAL, sort_by_parameter_order=True)
-
-_START = (
-    update(trials)
-    .where(trials.c.id == bindparam("trial"), trials.c.state == "queued", _DRIVEN.exists())
-    .values(
-        state="running",
-        attempts=trials.c.attempts + 1,
-        started_at=func.coalesce(trials.c.started_at, bindparam("at")),
-    )
-    .returning(trials.c.study_id, trials.c.number, trials.c.attempts, trials.c.iteration)
-)
-_ADD_ATTEMPT = attempts.insert().returning(*ATTEMPT)
-
-_HELD = (
-    attempts.c.id == bindparam("attempt"),
-    attempts.c.token == bindparam("held_token"),
-    attempts.c.state == "running",
-)
-_BEAT = (
-    update(attempts)
-    .where(*_HELD)
-    .values(beat=attempts.c.beat + 1, beat_at=bindparam("at"))
-    .returning(attempts.c.trial_id, attempts.c.number)
-)
-_BEGAN = _BEAT.values(host=bindparam("host"), pid=bindparam("pid"))
-_END_ATTEMPT = (
-    update(attempts)
-    .where(*_HELD)
-    .values(state=bindparam("to_state"), ended_at=bindparam("at"), reason=bindparam("why"))
-    .returning(attempts.c.trial_id, attempts.c.number)
-)
-_PLACE = select(trials.c.study_id, trials.c.number).where(trials.c.id == bindparam("trial"))
-_PROGRESS = (
-    update(trials)
-    .where(trials.c.id == bindparam("trial"))
-    .values(iteration=bindparam("to_iteration"), samples=bindparam("to_samples"), seconds=bindparam("to_seconds"))
-    .returning(trials.c.study_id, trials.c.number)
-)
-
-_others = trials.alias("others")
-# The next free place in the history. Writers come one after the other, and the history has no holes, so it is one
-# more than the highest; the unique index on (study_id, position) finds that at once and would refuse a double.
-_NEXT_POSITION = (
-    select(func.coalesce(func.max(_others.c.position) + 1, 0))
-    .where(_others.c.study_id == trials.c.study_id)
-    .scalar_subquery()
-)
-_FINISH = (
-    update(trials)
-    .where(trials.c.id == bindparam("trial"))
-    .values(
-        state=bindparam("to_state"),
-        position=_NEXT_POSITION,
-        value=bindparam("to_value"),
-        features=bindparam("to_features"),
-        samples=bindparam("to_samples"),
-        seconds=bindparam("to_seconds"),
-        message=bindparam("to_message"),
-        details=bindparam("to_details"),
-        finished_at=bindparam("at"),
-    )
-    .returning(*TRIAL)
-)
-_GIVE_UP = (
-    update(trials)
-    .where(trials.c.id == bindparam("trial"), trials.c.state == "queued", _DRIVEN.exists())
-    .values(state="failed", position=_NEXT_POSITION, message=bindparam("to_message"), finished_at=bindparam("at"))
-    .returning(*TRIAL)
-)
-_REQUEUE = (
-    update(trials)
-    .where(trials.c.id == bindparam("trial"))
-    .values(state="queued", retries=trials.c.retries + bindparam("more"))
-    .returning(*TRIAL)
-)
-_CANCEL = (
-    update(trials)
-    .where(trials.c.id == bindparam("trial"), trials.c.state.in_(("queued", "running")), _DRIVEN.exists())
-    .values(state="cancelled", message=bindparam("to_message"), finished_at=bindparam("at"))
-    .returning(*TRIAL)
-)
-_CANCEL_ATTEMPT = (
-    update(attempts)
-    .where(attempts.c.trial_id == bindparam("trial"), attempts.c.state == "running")
-    .values(state="cancelled", ended_at=bindparam("at"), reason=bindparam("why"))
-)
-
-
-def _upsert(dialect: Any, table: Any, key: tuple[str, ...], replaced: tuple[str, ...]) -> Any:
-    statement = dialect.insert(table)
-    return statement.on_conflict_do_update(
-        index_elements=list(key), set_={name: statement.excluded[name] for name in replaced}
-    )
-
-
-# The same words in both dialects, but SQLAlchemy has them in two places.
-_DIALECTS = {"sqlite": sqlite, "postgresql": postgresql}
-_PUT_METRICS = {
-    name: _upsert(dialect, metrics, ("trial_id", "iteration"), ("attempt", "metrics"))
-    for name, dialect in _DIALECTS.items()
-}
-_PUT_ARTIFACTS = {
-    name: _upsert(dialect, artifacts, ("trial_id", "name"), ("path", "sha256", "size", "created_at"))
-    for name, dialect in _DIALECTS.items()
-}
+from services.store.rows import amount, attempt_row, clean, encode, finite, seed_text, trial_row
+from services.store.schema import attempts, studies, trials
 
 
 class TrialTransitions(Journal):
@@ -184,14 +62,14 @@ class TrialTransitions(Journal):
             for trial in trials
         ]
         counted = self._execute(
-            _NUMBER_TRIALS, {"study": study_id, "held_token": drive_token, "more": len(rows)}
+            statements.NUMBER_TRIALS, {"study": study_id, "held_token": drive_token, "more": len(rows)}
         ).scalar_one_or_none()
         if counted is None:
             raise self._refuse_driver(study_id, drive_token, "the proposal")
-        proposal_id = self._execute(_ADD_PROPOSAL, proposal).scalar_one()
+        proposal_id = self._execute(statements.ADD_PROPOSAL, proposal).scalar_one()
         for number, row in enumerate(rows, start=counted - len(rows)):
             row |= {"number": number, "proposal_id": proposal_id}
-        added = [trial_row(row) for row in self._execute(_ADD_TRIALS, rows)] if rows else []
+        added = [trial_row(row) for row in self._execute(statements.ADD_TRIALS, rows)] if rows else []
         self._append(
             "proposed",
             study_id,
@@ -204,7 +82,9 @@ class TrialTransitions(Journal):
         self, trial_id: int, drive_token: int, *, worker: str, host: str = "", pid: int | None = None
     ) -> AttemptRow:
         """`queued` -> `running` with a new attempt. Raises `Refused`."""
-        trial = self._execute(_START, {"trial": trial_id, "held_token": drive_token, "at": self._at}).one_or_none()
+        trial = self._execute(
+            statements.START, {"trial": trial_id, "held_token": drive_token, "at": self._at}
+        ).one_or_none()
         if trial is None:
             raise self._refuse_trial(trial_id, drive_token, "the start", "queued")
         attempt = {
@@ -220,22 +100,25 @@ class TrialTransitions(Journal):
             "started_at": self._at,
             "beat_at": self._at,
         }
-        row = attempt_row(self._execute(_ADD_ATTEMPT, attempt).one())
+        row = attempt_row(self._execute(statements.ADD_ATTEMPT, attempt).one())
         self._append("started", trial.study_id, trial.number, {"attempt": row.number, "worker": worker, "host": host})
         return row
 
     def began(self, attempt_id: int, token: int, *, host: str, pid: int) -> None:
         """A worker process has taken the attempt up. Raises the beat. Raises `Refused`."""
         values = {"attempt": attempt_id, "held_token": token, "at": self._at, "host": clean(host), "pid": pid}
-        held = self._execute(_BEGAN, values).one_or_none()
+        held = self._execute(statements.BEGAN, values).one_or_none()
         if held is None:
             raise self._refuse_attempt(attempt_id, token, "the start")
-        trial = self._execute(_PLACE, {"trial": held.trial_id}).one()
+        trial = self._execute(statements.PLACE, {"trial": held.trial_id}).one()
         self._append("began", trial.study_id, trial.number, {"attempt": held.number, "host": host, "pid": pid})
 
     def beat(self, attempt_id: int, token: int) -> None:
         """Say that the attempt lives. Raises `Refused`."""
-        if self._execute(_BEAT, {"attempt": attempt_id, "held_token": token, "at": self._at}).one_or_none() is None:
+        if (
+            self._execute(statements.BEAT, {"attempt": attempt_id, "held_token": token, "at": self._at}).one_or_none()
+            is None
+        ):
             raise self._refuse_attempt(attempt_id, token, "the beat")
 
     def report(
@@ -256,13 +139,15 @@ class TrialTransitions(Journal):
             "to_samples": int(amount("samples", samples)),
             "to_seconds": amount("seconds", seconds),
         }
-        held = self._execute(_BEAT, {"attempt": attempt_id, "held_token": token, "at": self._at}).one_or_none()
+        held = self._execute(
+            statements.BEAT, {"attempt": attempt_id, "held_token": token, "at": self._at}
+        ).one_or_none()
         if held is None:
             raise self._refuse_attempt(attempt_id, token, f"the report of iteration {iteration}")
         trial_id, attempt = held
         row = {"trial_id": trial_id, "iteration": iteration, "attempt": attempt, "metrics": text}
-        self._collect(_PUT_METRICS[self._connection.dialect.name], row)
-        trial = self._execute(_PROGRESS, {"trial": trial_id, **cost}).one()
+        self._collect(statements.PUT_METRICS[self._connection.dialect.name], row)
+        trial = self._execute(statements.PROGRESS, {"trial": trial_id, **cost}).one()
         payload = {
             "attempt": attempt,
             "iteration": iteration,
@@ -290,7 +175,7 @@ class TrialTransitions(Journal):
             "at": self._at,
         }
         trial_id, attempt = self._end(attempt_id, token, AttemptState(result.state.value), result.message, "the result")
-        trial = trial_row(self._execute(_FINISH, {"trial": trial_id, **values}).one())
+        trial = trial_row(self._execute(statements.FINISH, {"trial": trial_id, **values}).one())
         for artifact in result.artifacts:
             row = {
                 "trial_id": trial_id,
@@ -300,7 +185,7 @@ class TrialTransitions(Journal):
                 "size": artifact.size,
                 "created_at": self._at,
             }
-            self._collect(_PUT_ARTIFACTS[self._connection.dialect.name], row)
+            self._collect(statements.PUT_ARTIFACTS[self._connection.dialect.name], row)
         self._finished(trial, attempt)
         return trial
 
@@ -319,7 +204,7 @@ class TrialTransitions(Journal):
     def give_up(self, trial_id: int, drive_token: int, message: str) -> TrialRow:
         """A `queued` trial out of retries becomes `failed`, with its `position`. Raises `Refused`."""
         values = {"trial": trial_id, "held_token": drive_token, "to_message": clean(message), "at": self._at}
-        row = self._execute(_GIVE_UP, values).one_or_none()
+        row = self._execute(statements.GIVE_UP, values).one_or_none()
         if row is None:
             raise self._refuse_trial(trial_id, drive_token, "giving up", "queued")
         trial = trial_row(row)
@@ -330,17 +215,17 @@ class TrialTransitions(Journal):
         """An open trial becomes `cancelled`, a running attempt with it. Raises `Refused`."""
         why = clean(reason)
         values = {"trial": trial_id, "held_token": drive_token, "to_message": why, "at": self._at}
-        row = self._execute(_CANCEL, values).one_or_none()
+        row = self._execute(statements.CANCEL, values).one_or_none()
         if row is None:
             raise self._refuse_trial(trial_id, drive_token, "the cancellation", "queued or running")
-        self._execute(_CANCEL_ATTEMPT, {"trial": trial_id, "at": self._at, "why": why})
+        self._execute(statements.CANCEL_ATTEMPT, {"trial": trial_id, "at": self._at, "why": why})
         trial = trial_row(row)
         self._finished(trial, None)
         return trial
 
     def _again(self, attempt_id: int, token: int, state: AttemptState, reason: str, *, retries: int) -> TrialRow:
         trial_id, attempt = self._end(attempt_id, token, state, reason, f"ending it as {state.value}")
-        trial = trial_row(self._execute(_REQUEUE, {"trial": trial_id, "more": retries}).one())
+        trial = trial_row(self._execute(statements.REQUEUE, {"trial": trial_id, "more": retries}).one())
         payload = {"attempt": attempt, "reason": clean(reason), "retries": trial.retries}
         self._append(state.value, trial.study_id, trial.number, payload)
         return trial
@@ -354,7 +239,7 @@ class TrialTransitions(Journal):
             "at": self._at,
             "why": clean(reason),
         }
-        held = self._execute(_END_ATTEMPT, values).one_or_none()
+        held = self._execute(statements.END_ATTEMPT, values).one_or_none()
         if held is None:
             raise self._refuse_attempt(attempt_id, token, what)
         return held.trial_id, held.number

@@ -1,6 +1,8 @@
 """The run-up, with few candidates: what matters is that it is one motion, and the same one each time."""
 
+import hashlib
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +15,9 @@ from workers.physics.limits import HUMAN
 from workers.physics.world import FRAME, World
 from workers.replay import Recorder
 from workers.tasks.high_jump import takeoff
+from workers.tasks.high_jump.approach import captured_run, reference_of
 from workers.tasks.high_jump.env import HighJumpEnv
-from workers.tasks.high_jump.run_up import WINDOW, arrival, captured_run, reference_of, run_up_to
+from workers.tasks.high_jump.run_up import WINDOW, arrival, run_up_to
 from workers.tasks.high_jump.settings import HighJumpSettings, ObstacleJumpSettings
 
 SIDE = {"alpha": 0.70, "omega_x": -1.44, "omega_z": 0.44, "v_z": -1.99}
@@ -178,8 +181,10 @@ def written(folder, *, cycles=2.0, jumps=True, radius=None):
 
 
 def test_a_run_from_a_file_ends_in_the_last_support_before_its_jump(tmp_path):
-    run = captured_run(written(tmp_path))
+    path = written(tmp_path)
+    run = captured_run(path)
     assert not run.cyclic
+    assert run.sha256 == hashlib.sha256(Path(path).read_bytes()).hexdigest()
     assert abs(run.frame - 2 * (len(RAW) - 1) - takeoff.MID_SUPPORT_FRAME) <= 3
 
 

@@ -57,10 +57,10 @@ def test_a_damaged_policy_is_a_failed_audit(shell, study):
 
 
 def test_a_task_without_an_audit_is_told(shell, study):
-    study("hill", 0.0, 1.0)
+    study("bare_hill", 0.0, 1.0)
     told = shell("audit", "judged")
     assert told.code == 2
-    assert told.err == "audit: expected a task that can judge its policies, found that sample_hills:hill can't\n"
+    assert told.err == "audit: expected a task that can judge its policies, found that sample_hills:bare_hill can't\n"
 
 
 def test_an_unknown_study_is_told(shell):

@@ -18,9 +18,9 @@ from workers.physics.clips import BadClip
 from workers.physics.world import GRAVITY
 from workers.poses.model import PoseModel
 from workers.tasks.high_jump import rules
+from workers.tasks.high_jump.approach import captured_run
 from workers.tasks.high_jump.behaviour import FeatureName
 from workers.tasks.high_jump.rules import Landing
-from workers.tasks.high_jump.run_up import captured_run
 from workers.tasks.high_jump.takeoff import Formulation, TakeOff
 from workers.tasks.high_jump.variations import Cast, Spine, varied_joints
 

@@ -24,6 +24,7 @@ from workers.physics.limits import HUMAN, Limits
 from workers.physics.rendering import render_frame
 from workers.replay import Recorder, Replay
 from workers.tasks.high_jump import behaviour, takeoff
+from workers.tasks.high_jump.approach import captured_run
 from workers.tasks.high_jump.env import HighJumpEnv
 from workers.tasks.high_jump.jump_settings import JumpSettings
 from workers.tasks.high_jump.naming import name_jump
@@ -315,12 +316,14 @@ def _common(problem: JumpProblem, trained: Trained) -> dict[str, JSON]:
 
 
 def _arrival(problem: JumpProblem) -> dict[str, JSON]:
-    """As details of an outcome: how far from the take-off state the run-up ends."""
-    run_up = problem.run_up()
+    """As details of an outcome: how far from the take-off state the run-up ends, and which clip it follows."""
+    run_up, settings = problem.run_up(), problem.settings
     if run_up is None:
         return {}
-    missed = arrival(run_up, problem.state, problem.settings.joints(), problem.settings.gravity)
-    return {"run_up": {"seconds": run_up.seconds, **asdict(missed)}}
+    missed = arrival(run_up, problem.state, settings.joints(), settings.gravity)
+    followed = captured_run(settings.run_up_clip).sha256
+    clip = {} if followed is None else {"clip_sha256": followed}
+    return {"run_up": {"seconds": run_up.seconds, **asdict(missed), **clip}}
 
 
 def _infeasible(problem: JumpProblem, trained: Trained, refused: Jump | None, name: str) -> Outcome:
