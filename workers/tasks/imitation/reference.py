@@ -44,6 +44,7 @@ class Moment:
         turns: rotations of the spherical joints ``[8, 4]``.
         ends: positions of `ENDS` relative to the root ``[4, 3]``, m.
         com: centre of mass ``[3]``, m.
+        com_velocity: its velocity ``[3]``, m/s.
     """
 
     root: Array
@@ -55,6 +56,7 @@ class Moment:
     turns: Array
     ends: Array
     com: Array
+    com_velocity: Array
 
 
 class Reference:
@@ -91,6 +93,7 @@ class Reference:
         ends = [body.names.index(name) for name in ENDS]
         self._ends = placed[:, ends] - placed[:, :1]
         self._com = body.centre_of_mass(placed)
+        self._com_velocity = (self._com[after] - self._com[before]) / span
         lowest = placed[:, :, 1].min(0)
         self.upright: tuple[str, ...] = tuple(name for name in _TRUNK if lowest[body.names.index(name)] > _NEAR_GROUND)
         """Bodies that never come near the ground in the clip: if they touch it, the imitation has failed."""
@@ -112,6 +115,7 @@ class Reference:
             self._turns[i],
             self._ends[i],
             self._com[i] + shift,
+            still * self._com_velocity[i],
         )
 
     def phase(self, time: float) -> tuple[float, float]:
