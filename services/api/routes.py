@@ -25,6 +25,7 @@ from services.api.models import (
 from services.api.parameters import ERRORS, LARGEST_ID, AfterEvent, Limit, Study
 from services.api.service import Service, Uses
 from services.errors import BadInput
+from services.store.engine import shown
 from services.store.port import TrialRow
 from services.version import halma_version
 
@@ -39,7 +40,7 @@ def server(service: Uses) -> ServerOut:
         boot=service.hub.boot,
         history=service.store.history_id(),
         cursor=service.store.last_event(),
-        database=make_url(service.store.url).render_as_string(hide_password=True),
+        database=shown(make_url(service.store.url)),
     )
 
 
@@ -140,7 +141,7 @@ def _strategies(service: Service, study: str, page: str | None, limit: int) -> S
         value = finding.trial.value
         return (1, 0.0, finding.trial.number) if value is None else (0, -value, finding.trial.number)
 
-    every = sorted(service.distinct.of(row, service.trials.history(row)) or [], key=place)
+    every = service.distinct.of(row, service.trials.history(row)) or []
     behind = after_key(every, "strategies", page, place, int, (int, float), int)
     found, following = page_of(behind, limit, "strategies", place)
     return StrategyList(
