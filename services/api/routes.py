@@ -24,6 +24,7 @@ from services.api.models import (
 )
 from services.api.parameters import ERRORS, LARGEST_ID, AfterEvent, Limit, Study
 from services.api.service import Service, Uses
+from services.budget import check_rounds
 from services.errors import BadInput
 from services.store.engine import shown
 from services.store.port import TrialRow
@@ -110,11 +111,12 @@ def _ask(service: Uses, study: str, wanted: str) -> StudyOut:
 
 @router.post("/studies/{study}/extend", tags=["actions"])
 def extend(service: Uses, study: Study, more: Extension) -> StudyOut:
-    """Give a study more trials, or more cost."""
-    if not more.trials and not more.cost:
-        raise BadInput("extend: expected `trials` or `cost` above 0, found neither")
+    """Give a study more trials, more cost, or its polish more rounds."""
+    if not (more.trials or more.cost or more.rounds):
+        raise BadInput("extend: expected `trials`, `cost` or `rounds` above 0, found none of them")
+    check_rounds(service.store.study(study), more.rounds)
     with service.store.transaction() as change:
-        change.extend(study, trials=more.trials, cost=more.cost)
+        change.extend(study, trials=more.trials, cost=more.cost, rounds=more.rounds)
     service.changed()
     return StudyOut.of(service.store.study(study))
 
