@@ -1,6 +1,8 @@
 """How soon a jump is learnt, and how natural it looks, under each of several settings, in one run.
 
     OMP_NUM_THREADS=1 python -m benchmarks.jumps                        # P-VAE actions beside plain ones
+    OMP_NUM_THREADS=1 python -m benchmarks.jumps --print --pictures poses.png      # what that looks like
+    OMP_NUM_THREADS=1 python -m benchmarks.jumps --compare variations   # a weak leg, a stiff spine, a cast, Mars, ...
     OMP_NUM_THREADS=1 python -m benchmarks.jumps --compare curriculum   # by success, by reward as published, ...
     OMP_NUM_THREADS=1 python -m benchmarks.jumps --compare rate         # 10 Hz throughout, 10 -> 30 Hz by difficulty
     OMP_NUM_THREADS=1 python -m benchmarks.jumps --compare evaluation --states all --seeds 5 --samples 100000
@@ -10,9 +12,11 @@
 Each training begins from one of the published take-off states of the high jump (Yin et al. 2021) and ends when the bar
 at z_freeze is mastered, or its samples are spent. Printed for each: CPU minutes, the bar that the curriculum came to,
 the highest bar cleared in an audited jump, how the athlete faces over it (rad), and how far the jump's poses are from
-captured ones: for each frame of the flight the nearest captured pose (packaged clips), bodies relative to the root and
-in its frame, mean distance, m. A training has reached z_freeze once it has mastered it (half an iteration's jumps).
-Variants alternate within each seed, so that whatever else the machine does hits all alike; CPU seconds of this process.
+captured ones: for each frame of the flight the nearest captured pose, bodies relative to the root and in its frame,
+mean distance, m; of the packaged clips (`far`), and of the CMU clips as well where ../shared/mocap/poses is (`far
+CMU`). Each training leaves a picture in `benchmarks/results/jumps-COMPARE`; `--pictures FILE` puts them on one sheet. A
+training has reached z_freeze once it has mastered it (half an iteration's jumps). Variants alternate within each seed,
+so that whatever else the machine does hits all alike; CPU seconds of this process.
 
 A training is a row, a JSON line, appended to `benchmarks/figures/jumps-COMPARE.jsonl` when it is over, with the
 revision of the code; what has a row for the same bounds is not trained again. A comparison may take several sittings,
@@ -36,11 +40,15 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from benchmarks.search.diversity import RESULTS
 from benchmarks.tuning import PHYSICS, read, revision
+from services.contact_sheet import POSE, Tile, draw
 from workers.contracts import Job
 from workers.local_context import LocalContext
 from workers.physics import clips
 from workers.physics.kinematics import skeleton
+from workers.poses.training import default_model, gather, write
+from workers.poses.training import train as train_poses
 from workers.replay import Replay
 from workers.run import run
 from workers.tasks.high_jump.captured import flight_frames
@@ -53,12 +61,15 @@ STATES: dict[str, dict[str, float]] = {
     "side dive": {"v_z": -1.83, "omega_x": -2.78, "omega_z": -0.32, "alpha": 1.18},
     "side jump": {"v_z": -1.99, "omega_x": -1.44, "omega_z": 0.44, "alpha": 0.70},
 }
-CLIPS = Path(__file__).resolve().parents[2] / "shared" / "mocap" / "jumps"
+MOCAP = Path(__file__).resolve().parents[2] / "shared" / "mocap"
+CLIPS = MOCAP / "jumps"
+CMU = MOCAP / "poses"
+CMU_MODEL = RESULTS / "poses-cmu.safetensors"
 VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
     "poses": {
         "offset": {},
         "pose": {"actions": "pose"},
-        "pose 12 -> 8": {"actions": "pose", "offset_easy": 12.0, "offset_hard": 8.0},
+        "pose, CMU": {"actions": "pose", "poses": str(CMU_MODEL)},
     },
     "curriculum": {
         "success": {},
@@ -67,6 +78,15 @@ VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
     },
     "rate": {"10 Hz": {}, "10 -> 30 Hz": {"control_rate_hard": 30}},
     "evaluation": {"pose": {"actions": "pose"}},
+    "variations": {
+        "none": {"actions": "pose"},
+        "weak leg": {"actions": "pose", "take_off_leg": 0.6},
+        "stiff spine": {"actions": "pose", "spine": "stiff"},
+        "cast": {"actions": "pose", "cast": "swing"},
+        "on the feet": {"actions": "pose", "landing": "feet"},
+        "Mars": {"actions": "pose", "gravity": 3.711},
+        "no P-VAE": {},
+    },
     "run_up": {
         "none": {},
         "packaged run": {"run_up": True},
@@ -76,9 +96,17 @@ VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
 FIGURES = Path(__file__).parent / "figures"
 
 
-def captured_poses() -> cKDTree:
-    """All poses of the packaged clips, as positions of the bodies in the root's frame."""
-    return cKDTree(np.concatenate([places(clips.read(path).pose) for path in clips.packaged()]))
+def captured_poses() -> dict[str, cKDTree]:
+    """Of the packaged clips, and with the CMU clips where they are: places of the bodies in the root's frame."""
+    packaged = places(gather(clips.packaged()))
+    trees = {"far": cKDTree(packaged)}
+    if CMU.is_dir():
+        trees["far_cmu"] = cKDTree(np.concatenate([packaged, places(gather(cmu_clips()))]))
+    return trees
+
+
+def cmu_clips() -> list[Path]:
+    return sorted(CMU.rglob("*.txt"))
 
 
 def places(pose: np.ndarray) -> np.ndarray:
@@ -95,7 +123,9 @@ def unnaturalness(replay: Replay, captured: cKDTree) -> float:
     return float(np.mean(distance) / np.sqrt(len(skeleton().names)))
 
 
-def train(state: str, settings: dict[str, Any], samples: int, seed: int, captured: cKDTree) -> dict[str, Any]:
+def train(
+    state: str, settings: dict[str, Any], samples: int, seed: int, captured: dict[str, cKDTree], picture: Path
+) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         context = LocalContext(Path(folder))
         start = time.process_time()
@@ -104,14 +134,17 @@ def train(state: str, settings: dict[str, Any], samples: int, seed: int, capture
         spent = (time.process_time() - start) / 60
         curve = [(int(r["metrics"]["samples"]), float(r["metrics"]["level"])) for r in context.reports()]
         mastered = max((float(r["metrics"].get("level_mastered", 0.0)) for r in context.reports()), default=0.0)
-        far = None
+        far: dict[str, float] = {}
         if outcome.status == "complete":
-            far = unnaturalness(Replay.from_bytes(context.artifact("replay.bin")), captured)
+            replay = Replay.from_bytes(context.artifact("replay.bin"))
+            far = {name: unnaturalness(replay, tree) for name, tree in captured.items()}
+            picture.parent.mkdir(parents=True, exist_ok=True)
+            picture.write_bytes(context.artifact(POSE))
         return {
             "minutes": spent, "curve": curve, "level": outcome.details.get("level"), "value": outcome.value,
             "facing": outcome.details.get("facing"), "rotation": outcome.details.get("rotation"),
             "samples": outcome.cost.samples,
-            "reached": mastered >= settings["z_freeze"], "far": far,
+            "reached": mastered >= settings["z_freeze"], "far": None, **far,
             "name": outcome.details.get("name") or outcome.message,
         }  # fmt: skip
 
@@ -131,6 +164,7 @@ def print_rows(rows: list[dict[str, Any]]) -> None:
         print(
             f"{row['state']:14}{row['variant']:14}{row['seed']:5d}{row['minutes']:9.2f}{row['samples']:9,}"
             f"{show(row['level'], 2):>7}{show(row['value'], 2):>7}{show(row['facing'], 2):>8}{show(row['far'], 3):>9}"
+            f"{show(row.get('far_cmu'), 3):>9}"
             f"  {row['name']}",
             flush=True,
         )
@@ -138,7 +172,8 @@ def print_rows(rows: list[dict[str, Any]]) -> None:
 
 def print_medians(rows: list[dict[str, Any]]) -> None:
     print(
-        f"\n{'variant':14}{'state':14}{'reached':>9}{'CPU min':>19}{'bar':>7}{'far (m)':>9}   medians, and their range"
+        f"\n{'variant':14}{'state':14}{'reached':>9}{'CPU min':>19}{'bar':>7}{'far (m)':>9}{'far CMU':>9}"
+        "   medians, and their range"
     )
     for variant in dict.fromkeys(row["variant"] for row in rows):
         of_variant = [row for row in rows if row["variant"] == variant]
@@ -149,11 +184,12 @@ def print_medians(rows: list[dict[str, Any]]) -> None:
             print(
                 f"{variant:14}{state:14}{sum(row['reached'] for row in own):>6}/{len(own)}{spread:>19}"
                 f"{show(_middle(own, 'value'), 2):>7}{show(_middle(own, 'far'), 3):>9}"
+                f"{show(_middle(own, 'far_cmu'), 3):>9}"
             )
 
 
 def _middle(rows: list[dict[str, Any]], key: str) -> float | None:
-    known = [row[key] for row in rows if row[key] is not None]
+    known = [row[key] for row in rows if row.get(key) is not None]
     return statistics.median(known) if known else None
 
 
@@ -178,12 +214,13 @@ def main() -> None:
     parser.add_argument("--z-freeze", type=float, default=1.0)
     parser.add_argument("--results", type=Path, help="where rows are; default: benchmarks/figures/jumps-COMPARE.jsonl")
     parser.add_argument("--print", action="store_true", help="only print what is on file")
+    parser.add_argument("--pictures", type=Path, help="PNG: what each training came to, where its picture is kept")
     options = parser.parse_args()
     states = list(STATES) if options.states == "all" else [name.strip() for name in options.states.split(",")]
     path = options.results or FIGURES / f"jumps-{options.compare}.jsonl"
     bounds = {"physics": PHYSICS, "samples_allowed": options.samples, "z_freeze": options.z_freeze}
     print(f"{'state':14}{'variant':14}{'seed':>5}{'CPU min':>9}{'samples':>9}", end="")
-    print(f"{'level':>7}{'bar':>7}{'facing':>8}{'far (m)':>9}  name")
+    print(f"{'level':>7}{'bar':>7}{'facing':>8}{'far (m)':>9}{'far CMU':>9}  name")
     rows = [row for row in read(path) if options.print or bounds.items() <= row.items()]
     print_rows(rows)
     if not options.print:
@@ -191,30 +228,56 @@ def main() -> None:
     if rows:
         print_medians(rows)
         print_distances(rows)
+    if options.pictures:
+        tiles = [tile for row in rows if (tile := _tile(options.compare, row))]
+        print(f"Picture: {draw(tiles, options.pictures)}" if tiles else "Picture: none is kept")
+
+
+def kept_picture(compare: str, row: dict[str, Any]) -> Path:
+    name = "-".join(str(row[key]) for key in ("state", "variant", "seed")).replace(" ", "_").replace(",", "")
+    return RESULTS / f"jumps-{compare}" / f"{name}.png"
+
+
+def _tile(compare: str, row: dict[str, Any]) -> Tile | None:
+    path = kept_picture(compare, row)
+    if not path.exists():
+        return None
+    title = f"{row['state']}, {row['variant']}, seed {row['seed']}"
+    return Tile(
+        path.read_bytes(), title, f"bar {show(row['value'], 2)} m, poses {show(row['far'], 3)} m; {row['name']}"
+    )
 
 
 def _train_what_is_missing(
     compare: str, states: list[str], seeds: int, bounds: dict[str, Any], rows: list[dict[str, Any]], path: Path
 ) -> None:
     captured = captured_poses()
-    if compare in {"poses", "evaluation"}:
-        from workers.poses.training import default_model  # noqa: PLC0415 - trained once, outside of the timings
-
-        default_model()
+    _train_pose_models(compare)
     path.parent.mkdir(parents=True, exist_ok=True)
     known = {(row["state"], row["variant"], row["seed"]) for row in rows}
     for seed in range(1, seeds + 1):
         for state in states:
             for variant, settings in VARIANTS[compare].items():
+                if settings.get("poses") == str(CMU_MODEL) and not CMU_MODEL.exists():
+                    continue
                 if (state, variant, seed) in known:
                     continue
                 asked = {"z_freeze": bounds["z_freeze"], **settings}
                 row = {"state": state, "variant": variant, "seed": seed, **bounds, "revision": revision()}
-                row |= train(state, asked, bounds["samples_allowed"], seed, captured)
+                row |= train(state, asked, bounds["samples_allowed"], seed, captured, kept_picture(compare, row))
                 rows.append(row)
                 with path.open("a") as file:
                     file.write(json.dumps(row) + "\n")
                 print_rows([row])
+
+
+def _train_pose_models(compare: str) -> None:
+    """Once, outside of the timings."""
+    used = VARIANTS[compare].values()
+    if any(settings.get("actions") == "pose" for settings in used):
+        default_model()
+    if any("poses" in settings for settings in used) and CMU.is_dir() and not CMU_MODEL.exists():
+        write(train_poses(gather(cmu_clips())), CMU_MODEL)
 
 
 if __name__ == "__main__":

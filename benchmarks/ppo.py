@@ -8,7 +8,8 @@
     halma-N    as many trainings at once as there are cores, each in a process of its own, as a search runs them
     naive      the same algorithm as tutorials write it: one environment, torch inference for each step, torch's Adam
     sb3        Stable-Baselines3's PPO, eight environments in one process (`DummyVecEnv`), where it is installed
-    sb3-sub    the same with an environment process for each core (`SubprocVecEnv`)
+    sb3-sub    the same with an environment process for each core (`SubprocVecEnv`), to compare halma-N with
+    sb3-sub-1  the same with one environment process, both on one core, to compare halma with
 
 The samples of halma-N are those of all its trainings together, each as long as `--samples` says.
 
@@ -155,11 +156,12 @@ def naive(name: str, samples: int) -> int:
     return done
 
 
-def sb3(name: str, samples: int, *, processes: bool) -> int:
+def sb3(name: str, samples: int, processes: int) -> int:
+    """With so many environment processes; 0: all environments in this one."""
     from stable_baselines3 import PPO  # noqa: PLC0415 - an extra
     from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv  # noqa: PLC0415 - the same
 
-    count = os.cpu_count() or 1 if processes else ENVIRONMENTS
+    count = processes or ENVIRONMENTS
     makers: list[Callable[[], gymnasium.Env[Any, Any]]] = [functools.partial(make, name) for _ in range(count)]
     vector = SubprocVecEnv(makers) if processes else DummyVecEnv(makers)
     model = PPO(
@@ -169,6 +171,15 @@ def sb3(name: str, samples: int, *, processes: bool) -> int:
     model.learn(samples)
     vector.close()
     return int(model.num_timesteps)
+
+
+def sb3_on_one_core(name: str, samples: int) -> int:
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(cores)})  # the environment process has it from this one
+    try:
+        return sb3(name, samples, 1)
+    finally:
+        os.sched_setaffinity(0, cores)
 
 
 def microseconds(work: Callable[[], Any], times: int = 300) -> float:
@@ -249,8 +260,9 @@ def main() -> None:
         "naive": naive,
     }
     if importlib.util.find_spec("stable_baselines3") is not None:
-        rows["sb3"] = lambda name, samples: sb3(name, samples, processes=False)
-        rows["sb3-sub"] = lambda name, samples: sb3(name, samples, processes=True)
+        rows["sb3"] = functools.partial(sb3, processes=0)
+        rows["sb3-sub"] = functools.partial(sb3, processes=os.cpu_count() or 1)
+        rows["sb3-sub-1"] = sb3_on_one_core
     for work in rows.values():
         work(options.env, BATCH)  # imports and first calls don't count
     wall: dict[str, list[float]] = {name: [] for name in rows}

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from services.amending import AMENDABLE
+from services.budget import rounds_of
 from services.errors import BadInput, NameTaken, UnknownStudy
 from services.problems import found_value
 from services.spec import ResolvedSpec, StudySpec
@@ -126,6 +127,7 @@ def _what_may(row: StudyRow, words: list[str], anew: str) -> list[str]:
     return [
         "A study keeps what makes it what it is: task, space, seed, search, training, stages. Nothing was changed.",
         f"What can change is how it is run ({how}), and its budget (search.trials, search.cost) can be raised.{fine}",
+        *([f"More rounds of a polish: halma extend {row.name} --rounds N."] if rounds_of(row) else []),
         f"Run this file as a new study: {anew}. Go on with the old one as it is: halma resume {row.name}",
     ]
 

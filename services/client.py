@@ -175,9 +175,10 @@ class Client:
         """Stop a study; what it found stays. Raises `UnknownStudy`, `WrongState`."""
         return self._wire.post(f"{_study(study)}/cancel", StudyOut)
 
-    def extend(self, study: str, *, trials: int = 0, cost: float = 0.0) -> StudyOut:
-        """Give a study so many more trials, or samples. Raises `UnknownStudy`, `BadInput`."""
-        return self._wire.post(f"{_study(study)}/extend", StudyOut, {"trials": trials, "cost": cost})
+    def extend(self, study: str, *, trials: int = 0, cost: float = 0.0, rounds: int = 0) -> StudyOut:
+        """Give a study so many more trials, samples, or rounds of its polish. Raises `UnknownStudy`, `BadInput`."""
+        more = {"trials": trials, "cost": cost, "rounds": rounds}
+        return self._wire.post(f"{_study(study)}/extend", StudyOut, more)
 
     def amend(self, study: str, fields: Mapping[str, Any]) -> StudyOut:
         """Change how a study is run, by dotted name: `{"priority": 5, "resources.pool": "gpu"}`.

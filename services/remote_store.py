@@ -193,9 +193,9 @@ class _Asks:
         asks = {"run": self._client.resume, "pause": self._client.pause, "cancel": self._client.cancel}
         return self._store.row_of(asks[wanted](name))
 
-    def extend(self, name: str, *, trials: int = 0, cost: float = 0.0) -> StudyRow:
+    def extend(self, name: str, *, trials: int = 0, cost: float = 0.0, rounds: int = 0) -> StudyRow:
         """Raise the targets. Raises `UnknownStudy`, `BadInput`."""
-        return self._store.row_of(self._client.extend(name, trials=trials, cost=cost))
+        return self._store.row_of(self._client.extend(name, trials=trials, cost=cost, rounds=rounds))
 
     def amend(self, name: str, fields: Mapping[str, Any]) -> StudyRow:
         """Change how a study is run. Raises `UnknownStudy`, `BadInput`."""

@@ -54,7 +54,8 @@ def units_of(row: StudyRow) -> Mapping[str, str]:
 
 
 def distinct_trials(row: StudyRow, history: Sequence[TrialRow]) -> list[Finding]:
-    """The distinct strategies among a study's complete trials, best first; empty where behaviour plays no part.
+    """The distinct strategies among a study's complete trials, best first, of equals the earliest trial's;
+    empty where behaviour plays no part.
 
     Two behaviours count as different where they are further apart than the task's `distinct`.
     """
@@ -65,10 +66,12 @@ def distinct_trials(row: StudyRow, history: Sequence[TrialRow]) -> list[Finding]
         return []
     values = [_worth(trial) for trial in rows]
     clusters = distinct([trial.features for trial in rows], values, metric, behaviour.distinct)
-    return [
+    found = [
         Finding(rows[cluster.representative], tuple(rows[index].number for index in cluster.members))
         for cluster in clusters
     ]
+    # Terminal, page and picture number them in this order, so that "strategy 3" is the same one everywhere.
+    return sorted(found, key=lambda finding: (-_worth(finding.trial), finding.trial.number))
 
 
 def distinct_with(row: StudyRow, found: Sequence[Finding], trial: TrialRow) -> list[Finding] | None:

@@ -204,11 +204,14 @@ class NoveltyStage(LaterStage):
     )
 
 
+MOST_ROUNDS = 1000
+
+
 class PolishStage(LaterStage):
     """Each strategy trained on until its value stops rising."""
 
     kind: Literal["polish"]
-    rounds: Whole = Field(default=5, gt=0, le=1000, description="at most so many trainings, one after the other")
+    rounds: Whole = Field(default=5, gt=0, le=MOST_ROUNDS, description="at most so many trainings, one after the other")
     rise: Finite = Field(default=0.0, ge=0, description="a training that raises the value by no more was the last")
 
 

@@ -5,7 +5,7 @@ const WORDS = {
   created: (p) => `study created${p.target_trials ? `, for ${number(p.target_trials)} trials` : ""}`,
   deleted: (p) => `study ${p.study} deleted`,
   asked: (p) => `somebody asked to ${p.wanted === "run" ? "run it" : `${p.wanted} it`}`,
-  extended: (p) => `budget raised${p.trials ? ` by ${number(p.trials)} trials` : ""}${p.cost ? ` by ${amount(p.cost)} samples` : ""}`,
+  extended: (p) => `budget raised${p.trials ? ` by ${number(p.trials)} trials` : ""}${p.cost ? ` by ${amount(p.cost)} samples` : ""}${p.rounds ? ` by ${number(p.rounds)} rounds of the polish` : ""}`,
   driven: (p) => `driven by process ${p.pid ?? "?"} on ${p.host ?? "?"}`,
   released: (p) => `now ${p.state}${p.reason ? `: ${p.reason}` : ""}`,
   waiting: (p) => `waits: ${p.reason}`,

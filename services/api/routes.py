@@ -24,7 +24,9 @@ from services.api.models import (
 )
 from services.api.parameters import ERRORS, LARGEST_ID, AfterEvent, Limit, Study
 from services.api.service import Service, Uses
+from services.budget import check_rounds
 from services.errors import BadInput
+from services.store.engine import shown
 from services.store.port import TrialRow
 from services.version import halma_version
 
@@ -39,7 +41,7 @@ def server(service: Uses) -> ServerOut:
         boot=service.hub.boot,
         history=service.store.history_id(),
         cursor=service.store.last_event(),
-        database=make_url(service.store.url).render_as_string(hide_password=True),
+        database=shown(make_url(service.store.url)),
     )
 
 
@@ -109,11 +111,12 @@ def _ask(service: Uses, study: str, wanted: str) -> StudyOut:
 
 @router.post("/studies/{study}/extend", tags=["actions"])
 def extend(service: Uses, study: Study, more: Extension) -> StudyOut:
-    """Give a study more trials, or more cost."""
-    if not more.trials and not more.cost:
-        raise BadInput("extend: expected `trials` or `cost` above 0, found neither")
+    """Give a study more trials, more cost, or its polish more rounds."""
+    if not (more.trials or more.cost or more.rounds):
+        raise BadInput("extend: expected `trials`, `cost` or `rounds` above 0, found none of them")
+    check_rounds(service.store.study(study), more.rounds)
     with service.store.transaction() as change:
-        change.extend(study, trials=more.trials, cost=more.cost)
+        change.extend(study, trials=more.trials, cost=more.cost, rounds=more.rounds)
     service.changed()
     return StudyOut.of(service.store.study(study))
 
@@ -140,7 +143,7 @@ def _strategies(service: Service, study: str, page: str | None, limit: int) -> S
         value = finding.trial.value
         return (1, 0.0, finding.trial.number) if value is None else (0, -value, finding.trial.number)
 
-    every = sorted(service.distinct.of(row, service.trials.history(row)) or [], key=place)
+    every = service.distinct.of(row, service.trials.history(row)) or []
     behind = after_key(every, "strategies", page, place, int, (int, float), int)
     found, following = page_of(behind, limit, "strategies", place)
     return StrategyList(

@@ -9,7 +9,7 @@ import typer
 
 from services.amending import AMENDABLE, SHORT, field_of, read_amendments
 from services.artifacts.root import settle
-from services.budget import has_stages
+from services.budget import check_rounds, has_stages, rounds_of
 from services.cli.driving import drive_here, is_driven_elsewhere
 from services.cli.events import event_line
 from services.cli.findings import findings_table
@@ -217,17 +217,22 @@ def extend(
     name: StudyName,
     trials: Annotated[int, typer.Option("--trials", min=0, help="So many more trials.")] = 0,
     cost: Annotated[float, typer.Option("--cost", min=0.0, help="So many more samples.")] = 0.0,
+    rounds: Annotated[
+        int, typer.Option("--rounds", min=0, max=1000, help="So many more trainings of each strategy in the polish.")
+    ] = 0,
     db: Db = None,
     as_json: AsJson = False,
 ) -> None:
     """Raise the budget of a study. `halma resume` then spends it."""
-    if not trials and not cost:
+    if not (trials or cost or rounds):
         raise BadInput(
-            f"extend: expected --trials N or --cost N, found neither; for example halma extend {name} --trials 10"
+            "extend: expected --trials N, --cost N or --rounds N, found none of them; "
+            f"for example halma extend {name} --trials 10"
         )
     with session(db) as opened:
+        check_rounds(opened.store.study(name), rounds)
         with opened.store.transaction() as change:
-            row = change.extend(name, trials=trials, cost=cost)
+            row = change.extend(name, trials=trials, cost=cost, rounds=rounds)
         driven = opened.server is not None or is_driven_elsewhere(row)
     if as_json:
         print_json(study_json(row))
@@ -236,6 +241,8 @@ def extend(
     if budget and has_stages(row):
         budget[0] += " of the search"
     budget += [f"{count(row.target_cost)} samples"] if row.target_cost is not None else []
+    if rounds:
+        budget += [f"{several(most, 'round')} of {stage}" for stage, most in rounds_of(row).items()]
     say(f"{name} now has a budget of {' and '.join(budget)}." + ("" if driven else f" Go on: halma resume {name}"))
 
 

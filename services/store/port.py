@@ -238,8 +238,11 @@ class Change(Protocol):
         `run` on a cancelled or paused study makes it `queued` again. Raises `WrongState` for what makes no sense.
         """
 
-    def extend(self, name: str, *, trials: int = 0, cost: float = 0.0) -> StudyRow:
-        """Raise the targets; a complete study becomes `queued` again."""
+    def extend(self, name: str, *, trials: int = 0, cost: float = 0.0, rounds: int = 0) -> StudyRow:
+        """Raise the targets, and the rounds of stages that have some; a complete study becomes `queued` again.
+
+        Raises `WrongState` where there is no such target or no such stage, or a driver is at work (rounds alone).
+        """
 
     def amend(self, name: str, fields: Mapping[str, JSON]) -> StudyRow:
         """Change fields of a study's spec, by dotted name; `priority` and `resources.pool` of its row with them.

@@ -148,16 +148,16 @@ class StudyTransitions(Journal):
         self._cancel_queued(row.id, "the study was cancelled")
         return {"state": to.value, "reason": "asked to cancel", "finished_at": self._at}
 
-    def extend(self, name: str, *, trials: int = 0, cost: float = 0.0) -> StudyRow:
-        """Raise the targets; a complete study becomes `queued` again. Raises `WrongState`."""
+    def extend(self, name: str, *, trials: int = 0, cost: float = 0.0, rounds: int = 0) -> StudyRow:
+        """Raise the targets; see the port."""
         row = self._study_named(name)
         amount("cost", cost)
-        if trials < 0 or not (trials or cost):
+        if min(trials, rounds) < 0 or not (trials or cost or rounds):
             raise WrongState(
-                f"study {name!r}: expected more trials or more cost to extend it by, found {trials} trials and cost "
-                f"{cost:g}"
+                f"study {name!r}: expected more trials, cost or rounds to extend it by, found {trials} trials, cost "
+                f"{cost:g} and {rounds} rounds"
             )
-        values: dict[str, Any] = {}
+        values: dict[str, Any] = {"spec": _with_rounds(row, rounds)} if rounds else {}
         for target, more in (("target_trials", trials), ("target_cost", cost)):
             if more and getattr(row, target) is None:
                 raise WrongState(
@@ -169,9 +169,8 @@ class StudyTransitions(Journal):
         if row.state == StudyState.COMPLETE:
             values |= {"state": StudyState.QUEUED.value, "wanted": "run", "reason": "", "finished_at": None}
         self._execute(update(studies).where(studies.c.id == row.id), values)
-        self._append(
-            "extended", row.id, None, {"trials": trials, "cost": cost, "state": values.get("state", row.state)}
-        )
+        told = {"trials": trials, "cost": cost, "rounds": rounds, "state": values.get("state", row.state)}
+        self._append("extended", row.id, None, told)
         return self._read(name)
 
     def amend(self, name: str, fields: Mapping[str, JSON]) -> StudyRow:
@@ -290,3 +289,21 @@ class StudyTransitions(Journal):
         if study is None:  # pragma: no cover - it was there a statement ago, in this very transaction
             raise RuntimeError(f"study {name!r} vanished within its transaction")
         return study
+
+
+def _with_rounds(row: Any, rounds: int) -> str:
+    """A study's spec with so many more rounds in every stage that has some. Raises `WrongState`."""
+    if row.driver_id is not None:
+        raise WrongState(
+            f"study {row.name!r}: expected one that nobody drives to give more rounds, found it {row.state}; "
+            f"pause it first: halma pause {row.name}"
+        )
+    spec = json.loads(row.spec)
+    stages = [stage for stage in (spec.get("stages") or {}).values() if "rounds" in stage]
+    if not stages:
+        raise WrongState(
+            f"study {row.name!r}: expected a stage of kind polish to give more rounds, found none; extend its trials"
+        )
+    for stage in stages:
+        stage["rounds"] += rounds
+    return encode("study.spec", spec)

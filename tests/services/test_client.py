@@ -281,8 +281,10 @@ class TestARealServer:
         assert client.pause("hop").wanted == "pause"
         assert client.resume("hop").wanted == "run"
         assert client.extend("hop", trials=2).target_trials == store.study("hop").target_trials == 26
-        with pytest.raises(BadInput, match="`trials` or `cost` above 0, found neither"):
+        with pytest.raises(BadInput, match="`trials`, `cost` or `rounds` above 0, found none of them"):
             client.extend("hop")
+        with pytest.raises(WrongState, match="nobody drives to give more rounds, found it running; pause it first"):
+            client.extend("hop", rounds=1)
         with pytest.raises(UnknownStudy, match="'hop'"):
             client.cancel("hopp")
 

@@ -12,9 +12,10 @@ import pytest
 
 from services.admission import admit, find
 from services.artifacts.open import open_artifacts
-from services.budget import most_trials
+from services.budget import check_rounds, most_trials, rounds_of
 from services.coordinator import Coordinator
 from services.dispatch.inline import InlineDispatcher
+from services.errors import BadInput, WrongState
 from services.problems import BadStudy
 from services.proposing import InlineStrategist
 from services.report import distinct_trials
@@ -23,6 +24,7 @@ from services.spec_check import parse_study
 from services.stages import stages_of_study
 from services.states import StudyState, TrialState
 from services.store.open import open_store
+from services.store.port import Driver
 from services.translate import job_of, settings_in
 
 SHAPES = """
@@ -147,6 +149,40 @@ def test_an_extended_search_goes_through_the_later_stages_with_what_is_new_alone
     assert after[: len(before)] == before
     # The search finds its two strategies again: trained from and polished as they are, nothing more follows.
     assert [stage for _, stage, _ in after[len(before) :]] == ["search"] * 3
+
+
+def test_a_polish_is_given_more_rounds_and_goes_on_from_where_it_stood(tmp_path):
+    service = Service(tmp_path, HOPS.replace("rounds: 2", "rounds: 1"))
+    service.drive()
+    before = service.told()
+    polished = {number for number, stage, _ in before if stage == "polish"}
+    with service.store.transaction() as change:
+        row = change.extend("s", rounds=2)
+    assert (row.state, rounds_of(row)) == (StudyState.QUEUED, {"polish": 3})
+    assert service.drive().state is StudyState.COMPLETE
+    after = service.told()
+    assert after[: len(before)] == before
+    more = after[len(before) :]
+    assert {stage for _, stage, _ in more} == {"polish"}
+    assert more[0][2] in polished
+    service.store.close()
+
+
+def test_more_rounds_are_refused_where_there_is_no_polish_or_a_driver_is_at_work(tmp_path):
+    service = Service(tmp_path, HOPS)
+    with service.store.transaction() as change:
+        change.drive("s", Driver(id="d", host="h", pid=1))
+    with service.store.transaction() as change, pytest.raises(WrongState, match="pause it first: halma pause s"):
+        change.extend("s", rounds=1)
+    assert rounds_of(service.store.study("s")) == {"polish": 2}
+    with pytest.raises(BadInput, match="at most 1000 rounds in the stage polish, found"):
+        check_rounds(service.store.study("s"), 1000)
+    service.store.close()
+    (tmp_path / "plain").mkdir()
+    plain = Service(tmp_path / "plain", SHAPES.partition("stages:")[0])
+    with plain.store.transaction() as change, pytest.raises(WrongState, match="a stage of kind polish"):
+        change.extend("s", rounds=1)
+    plain.store.close()
 
 
 def test_the_stages_of_a_real_training_hand_its_policy_on(tmp_path):

@@ -172,6 +172,7 @@ class Extension(Model):
     cost: Annotated[float, Field(ge=0, allow_inf_nan=False, le=1e18)] = Field(
         default=0.0, description="simulation samples"
     )
+    rounds: Annotated[int, Field(ge=0, le=1000, description="of each stage of kind polish")] = 0
 
 
 class Amendment(Model):

@@ -87,3 +87,17 @@ def test_strategies_that_grow_trial_by_trial_are_those_of_all_trials(store, reco
     assert [finding.trial.value for finding in distinct.of(study, history)] == [0.9, 0.6, 0.2]
     # Somebody who read the record a moment earlier gets what was true of it.
     assert distinct.of(study, history[:2]) == distinct_trials(study, history[:2])
+
+
+def test_strategies_of_equal_value_have_one_order_on_the_page_and_in_the_terminal(client, store, record):
+    for angle in (2.5, -2.5, 0.0, 1.2):
+        record.one(value=0.5, features=(angle,))
+    listed = client.get("/api/v1/studies/jump/strategies").json()["strategies"]
+    study = store.study("jump")
+    assert [one["number"] for one in listed] == [0, 1, 2, 3]
+    assert [finding.trial.number for finding in distinct_trials(study, FinishedTrials(store).history(study))] == [
+        0,
+        1,
+        2,
+        3,
+    ]

@@ -206,7 +206,8 @@ def test_an_unknown_study_is_refused_by_every_command(shell, command):
 
 def test_extend_without_an_amount(shell):
     assert refused(shell, "extend", "hill") == (
-        "extend: expected --trials N or --cost N, found neither; for example halma extend hill --trials 10\n"
+        "extend: expected --trials N, --cost N or --rounds N, found none of them; "
+        "for example halma extend hill --trials 10\n"
     )
 
 
