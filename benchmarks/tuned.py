@@ -77,9 +77,7 @@ def samples_to(row: Row, seconds: float) -> float | None:
 
 def report(rows: Sequence[Row]) -> None:
     heads = "".join(f"{f'{length:g} s':>10s}" for length in LENGTHS)
-    print(
-        f"\n{'clip':10s}{'setting':10s}{'seeds':>8s}{heads}{'followed':>10s}{'CPU min':>9s}   medians (of how many)"
-    )
+    print(f"\n{'clip':10s}{'setting':10s}{'seeds':>8s}{heads}{'followed':>10s}{'CPU min':>9s}   medians (of how many)")
     for clip in dict.fromkeys(row["clip"] for row in rows):
         for setting in ("default", "tuned"):
             own = [row for row in rows if (row["clip"], row["setting"]) == (clip, setting)]
