@@ -167,9 +167,11 @@ def summary(study: Run, rows: Sequence[Row], code: str) -> Row:
         if row["status"] == "complete" and (not curve or row["value"] > curve[-1][1]):
             curve.append((row["spent"], row["value"]))
     values = [row["value"] for row in own if row["value"] is not None]
+    best = max((row for row in own if row["status"] == "complete"), key=lambda row: float(row["value"]), default=None)
     return {
         "problem": study.name, "search": study.config, "seed": study.seed, "digest": study.digest, "revision": code,
         "budget": study.budget, "spent": sum(row["cost"] for row in rows), "trials": len(rows), "at_z1": len(own),
+        "best": best and {key: best[key] for key in ("params", "value", "parent")},
         "curve": curve, "worst": min(values, default=None), "seconds": round(sum(row["seconds"] for row in rows), 1),
     }  # fmt: skip
 

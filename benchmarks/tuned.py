@@ -1,0 +1,130 @@
+"""What a tuned setting is worth: how soon the athlete learns to walk for long, and to run, beside the default setting.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.tuned --seeds 3 --samples 150000
+    OMP_NUM_THREADS=1 python -m benchmarks.tuned --clips walk --samples 20000000     # until 20 s are learnt
+    python -m benchmarks.tuned --print
+
+The tuned setting is the best one at z = 1 that a `cmfbo` search of `benchmarks.tuning walk` has on file
+(`--search`, `--search-seed`); the default is what `studies/tune_walk.yaml` trains with in its quick profile. It was
+found for 2 s of walking; here episodes get longer for as long as they are followed, up to 20 s, and the setting is used
+for another clip as well. Figures: samples after which episodes of so many seconds were followed by 80 % of an
+iteration's, `-` where they weren't within `--samples`; and what the last iteration followed. Settings alternate within
+each seed. A training is a row of `benchmarks/figures/tuned.jsonl`; what has one is not trained again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.tuning import FIGURES, PHYSICS, STUDIES, read, revision
+from services.spec_check import load_study
+from workers.contracts import Job
+from workers.local_context import LocalContext
+from workers.run import run
+
+LENGTHS = (1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
+"""Seconds."""
+Row = dict[str, Any]
+
+
+def tuned_setting(search: str, seed: int) -> dict[str, Any]:
+    """Parameters of the best trial of a search on file."""
+    found = [
+        row
+        for row in read(FIGURES / "tuning-walk.jsonl")
+        if (row["search"], row["seed"]) == (search, seed) and row.get("best")
+    ]
+    if not found:
+        raise SystemExit(
+            f"no search on file: python -m benchmarks.tuning walk --configs {search} --seeds {seed}-{seed}"
+        )
+    return dict(found[-1]["best"]["params"])
+
+
+def train(clip: str, params: Mapping[str, Any], seed: int, samples: int) -> Row:
+    """One training: when episodes had got how long."""
+    spec = load_study(STUDIES / "tune_walk.yaml", ["profile=quick", f"task.settings.clip={clip}"])
+    settings = {**spec.task.settings, "longest": 600, "budget": 1.0}
+    training = {**spec.training, "budget": {"samples": samples}}
+    with tempfile.TemporaryDirectory() as folder:
+        context = LocalContext(Path(folder))
+        start = time.process_time()
+        outcome = run(Job("tuned", 0, "imitation", dict(params), seed, settings, training), context)
+        curve = [(int(r["metrics"]["samples"]), float(r["metrics"]["episode_seconds"])) for r in context.reports()]
+        return {
+            "minutes": (time.process_time() - start) / 60, "samples": outcome.cost.samples, "curve": changes(curve),
+            "status": outcome.status, "learnt": outcome.details.get("learnt"),
+            "per_step": outcome.details.get("return_per_step"), "followed": outcome.details.get("seconds_followed"),
+        }  # fmt: skip
+
+
+def changes(curve: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
+    """The points at which the length has changed."""
+    return [point for i, point in enumerate(curve) if i == 0 or point[1] != curve[i - 1][1]]
+
+
+def samples_to(row: Row, seconds: float) -> float | None:
+    """Episodes are as long as were followed before: one step of growth beyond that length."""
+    return next((float(samples) for samples, length in row["curve"] if length > seconds), None)
+
+
+def report(rows: Sequence[Row]) -> None:
+    heads = "".join(f"{f'{length:g} s':>10s}" for length in LENGTHS)
+    print(f"\n{'clip':10s}{'setting':10s}{'seeds':>8s}{heads}{'followed':>10s}{'CPU min':>9s}   medians (of how many)")
+    for clip in dict.fromkeys(row["clip"] for row in rows):
+        for setting in ("default", "tuned"):
+            own = [row for row in rows if (row["clip"], row["setting"]) == (clip, setting)]
+            if not own:
+                continue
+            line = f"{clip:10s}{setting:10s}{len(own):8d}"
+            for length in LENGTHS:
+                came = [samples for row in own if (samples := samples_to(row, length)) is not None]
+                line += f"{f'{statistics.median(came) / 1000:.0f}k ({len(came)})' if came else '-':>10s}"
+            followed = [row["followed"] for row in own if row["followed"] is not None]
+            line += f"{f'{statistics.median(followed):.2f} s' if followed else '-':>10s}"
+            print(line + f"{statistics.median(row['minutes'] for row in own):9.1f}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--clips", default="walk,run")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--samples", type=int, default=150_000)
+    parser.add_argument("--search", default="cmfbo")
+    parser.add_argument("--search-seed", type=int, default=1)
+    parser.add_argument("--results", type=Path, default=FIGURES / "tuned.jsonl")
+    parser.add_argument("--print", action="store_true", help="only what is on file")
+    options = parser.parse_args()
+    every = read(options.results)
+    if options.print:
+        report(every)
+        return
+    settings = {"default": dict[str, Any](), "tuned": tuned_setting(options.search, options.search_seed)}
+    print(f"tuned: {settings['tuned']}")
+    code = revision()
+    for seed in range(1, options.seeds + 1):
+        for clip in options.clips.split(","):
+            for setting, params in settings.items():
+                asked = {
+                    "clip": clip, "setting": setting, "params": params, "seed": seed,
+                    "samples_allowed": options.samples, "physics": PHYSICS,
+                }  # fmt: skip
+                if any(asked.items() <= row.items() for row in every):
+                    continue
+                row = {**asked, "revision": code, **train(clip, params, seed, options.samples)}
+                every.append(row)
+                with options.results.open("a") as file:
+                    file.write(json.dumps(row) + "\n")
+                print(f"{clip}, {setting}, seed {seed}: {row['curve'][-1]}, {row['minutes']:.1f} min", flush=True)
+    report([row for row in every if row["samples_allowed"] == options.samples])
+
+
+if __name__ == "__main__":
+    main()
