@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import threading
@@ -44,6 +45,7 @@ def leaving_on_signals(leave: Leave) -> Iterator[None]:
         nonlocal seen
         seen += 1
         if seen > 1:
+            logging.disable()  # libraries that it falls into would report it as a fault of theirs, traceback and all
             raise KeyboardInterrupt
         leave()
 

@@ -131,7 +131,7 @@ class TestStudies:
             study.do("amend", "nobody", {"priority": 3})
 
     def test_extending_by_nothing_or_where_there_is_no_budget_is_refused(self, study):
-        with pytest.raises(WrongState, match="found 0 trials and cost 0"):
+        with pytest.raises(WrongState, match="found 0 trials, cost 0 and 0 rounds"):
             study.do("extend", "jump")
         with pytest.raises(WrongState, match="found -1 trials"):
             study.do("extend", "jump", trials=-1, cost=2.0)

@@ -153,6 +153,20 @@ def test_an_athlete_in_a_cast_starts_with_a_straight_knee_and_its_foot_at_rest(c
     at = coordinate("right_knee" if cast == "take_off" else "left_knee")
     assert -0.1 <= start.pose[at] <= 0
     assert start.rates[at] == 0
-    foot = world.athlete.links()[world.athlete.names.index("right_ankle"), 7:10]
+    athlete = world.athlete
+    foot = athlete.links()[athlete.names.index("right_ankle"), 7:10]
     assert np.linalg.norm(foot) < (0.2 if cast == "swing" else 1.5)
     world.close()
+
+
+@pytest.mark.parametrize("actions", ["offset", "pose"])
+@pytest.mark.parametrize("cast", ["none", "take_off", "swing"])
+def test_an_athlete_with_or_without_a_cast_leaves_the_ground_from_its_take_off_foot(cast, actions):
+    settings = HighJumpSettings.parse({"cast": cast, "actions": actions})
+    env = HighJumpEnv(settings.take_off(FLOP), joints=settings.joints(), poses=settings.pose_model())
+    env.reset(options={"level": 0.2})
+    ended = False
+    while not ended:
+        _, _, ended, _, info = env.step(np.zeros(env.action_space.shape, np.float32))
+    assert info["verdict"] in {"wall", "landed"}, "no other part has touched the ground"
+    env.world.close()

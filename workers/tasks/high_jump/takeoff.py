@@ -32,6 +32,9 @@ MID_SUPPORT_FRAME = 1
 _TOE_OFF_FRAME = 4
 _BENT = -0.7
 """rad that the knee of the stance leg is bent by at the start."""
+_SWUNG = 0.9
+"""rad that a swing leg is brought forward by at the start where its knee can't bend: its foot is 13 cm above the floor,
+which it would reach before the take-off foot otherwise."""
 _RATE_BOUND = 20.0
 """rad/s; no joint of the stance leg starts faster than this."""
 
@@ -139,6 +142,9 @@ def start_state(world: World, state: TakeOff) -> StartState:
     if within is not None:
         pose = np.clip(pose, *within)
         rates = np.where(np.isfinite(within[0]), 0.0, rates)
+        if np.isfinite(within[0][coordinate("left_knee")]):
+            hip = coordinate("left_hip", 2)
+            pose[hip] = max(pose[hip], _SWUNG)
     yaw = state.alpha - np.pi / 2
     heading = rotations.from_rotation_vector(np.array([0, yaw, 0]))
     forward, up, right = (rotations.rotate(heading, axis) for axis in np.eye(3))
