@@ -1,15 +1,18 @@
 """What a tuned setting is worth: how soon the athlete learns to walk for long, and to run, beside the default setting.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.tuned --seeds 3 --samples 150000
+    OMP_NUM_THREADS=1 python -m benchmarks.tuned --seeds 3 --samples 100000 --searches "cmfbo 0;gp_ucb 0"
     OMP_NUM_THREADS=1 python -m benchmarks.tuned --clips walk --samples 20000000     # until 20 s are learnt
     python -m benchmarks.tuned --print
 
-The tuned setting is the best one at z = 1 that a `cmfbo` search of `benchmarks.tuning walk` has on file
-(`--search`, `--search-seed`); the default is what `studies/tune_walk.yaml` trains with in its quick profile. It was
-found for 2 s of walking; here episodes get longer for as long as they are followed, up to 20 s, and the setting is used
-for another clip as well. Figures: samples after which episodes of so many seconds were followed by 80 % of an
-iteration's, `-` where they weren't within `--samples`; and what the last iteration followed. Settings alternate within
-each seed. A training is a row of `benchmarks/figures/tuned.jsonl`; what has one is not trained again.
+A tuned setting is the best one at z = 1 that a search of `benchmarks.tuning walk` has on file (`--searches`, each with
+its seed); the default is what `studies/tune_walk.yaml` trains with in its quick profile. All train from scratch, while
+the best of `cmfbo` had a policy handed on. Settings were found for 2 s of walking; here episodes get longer for as long
+as they are followed, up to 20 s, and a setting is used for another clip as well.
+
+Figures: samples after which episodes got that long, because 80 % of an iteration's had been followed to their end
+(they begin with 1 s, and grow by 0.5 s), `-` where they didn't within `--samples`; and what the last iteration
+followed. Settings alternate within each seed. A training is a row of `benchmarks/figures/tuned.jsonl`; what has one
+is not trained again.
 """
 
 from __future__ import annotations
@@ -43,7 +46,7 @@ def tuned_setting(search: str, seed: int) -> dict[str, Any]:
     ]
     if not found:
         raise SystemExit(
-            f"no search on file: python -m benchmarks.tuning walk --configs {search} --seeds {seed}-{seed}"
+            f"no search on file: python -m benchmarks.tuning walk --configs '{search}' --seeds {seed}-{seed}"
         )
     return dict(found[-1]["best"]["params"])
 
@@ -52,7 +55,13 @@ def train(clip: str, params: Mapping[str, Any], seed: int, samples: int) -> Row:
     """One training: when episodes had got how long."""
     spec = load_study(STUDIES / "tune_walk.yaml", ["profile=quick", f"task.settings.clip={clip}"])
     settings = {**spec.task.settings, "longest": 600, "budget": 1.0}
-    training = {**spec.training, "budget": {"samples": samples}}
+    ppo = dict(spec.training["ppo"])
+    # exploration ends with the budget, as it does in the searches
+    training = {
+        **spec.training,
+        "budget": {"samples": samples},
+        "ppo": ppo | {"sigma_iterations": samples // ppo["samples"]},
+    }
     with tempfile.TemporaryDirectory() as folder:
         context = LocalContext(Path(folder))
         start = time.process_time()
@@ -71,19 +80,17 @@ def changes(curve: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
 
 
 def samples_to(row: Row, seconds: float) -> float | None:
-    """Episodes are as long as were followed before: one step of growth beyond that length."""
-    return next((float(samples) for samples, length in row["curve"] if length > seconds), None)
+    """Samples after which episodes were that long, since 80 % of shorter ones had been followed to their end."""
+    return next((float(samples) for samples, length in row["curve"] if length >= seconds), None)
 
 
 def report(rows: Sequence[Row]) -> None:
     heads = "".join(f"{f'{length:g} s':>10s}" for length in LENGTHS)
-    print(f"\n{'clip':10s}{'setting':10s}{'seeds':>8s}{heads}{'followed':>10s}{'CPU min':>9s}   medians (of how many)")
+    print(f"\n{'clip':10s}{'setting':18s}{'seeds':>6s}{heads}{'followed':>10s}{'CPU min':>9s}   medians (of how many)")
     for clip in dict.fromkeys(row["clip"] for row in rows):
-        for setting in ("default", "tuned"):
+        for setting in dict.fromkeys(row["setting"] for row in rows if row["clip"] == clip):
             own = [row for row in rows if (row["clip"], row["setting"]) == (clip, setting)]
-            if not own:
-                continue
-            line = f"{clip:10s}{setting:10s}{len(own):8d}"
+            line = f"{clip:10s}{setting:18s}{len(own):6d}"
             for length in LENGTHS:
                 came = [samples for row in own if (samples := samples_to(row, length)) is not None]
                 line += f"{f'{statistics.median(came) / 1000:.0f}k ({len(came)})' if came else '-':>10s}"
@@ -96,9 +103,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--clips", default="walk,run")
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--samples", type=int, default=150_000)
-    parser.add_argument("--search", default="cmfbo")
-    parser.add_argument("--search-seed", type=int, default=1)
+    parser.add_argument("--samples", type=int, default=100_000)
+    parser.add_argument("--searches", default="cmfbo 0", help="whose settings: NAME SEED, separated by semicolons")
     parser.add_argument("--results", type=Path, default=FIGURES / "tuned.jsonl")
     parser.add_argument("--print", action="store_true", help="only what is on file")
     options = parser.parse_args()
@@ -106,8 +112,11 @@ def main() -> None:
     if options.print:
         report(every)
         return
-    settings = {"default": dict[str, Any](), "tuned": tuned_setting(options.search, options.search_seed)}
-    print(f"tuned: {settings['tuned']}")
+    settings = {"default": dict[str, Any]()}
+    for words in filter(None, options.searches.split(";")):
+        search, _, seed = words.strip().rpartition(" ")
+        settings[words.strip()] = tuned_setting(search, int(seed))
+        print(f"{words.strip()}: {settings[words.strip()]}")
     code = revision()
     for seed in range(1, options.seeds + 1):
         for clip in options.clips.split(","):

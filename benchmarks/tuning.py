@@ -226,7 +226,7 @@ def report(name: str, rows: Sequence[Row]) -> None:
     randoms = [best(row, whole) for row in rows if row["search"] == "random"]
     goal = float(np.mean(randoms)) if randoms else None
     print(f"{name}: best value at z = 1, mean over seeds [95 % bootstrap interval]; cost {budget:,.0f} samples")
-    head = "".join(f"{f'{100 * share:.0f} %':>28s}" for share in SHARES)
+    head = "".join(f"{f'{100 * share:.0f} %':>30s}" for share in SHARES)
     tail = "" if goal is None else f"{'to random':>12s}"
     print(f"{'':20s}{'seeds':>12s}{head}{'trials':>8s}{'z = 1':>7s}{tail}")
     for config in CONFIGS:
@@ -237,7 +237,7 @@ def report(name: str, rows: Sequence[Row]) -> None:
         for cost in at.values():
             values = np.array([best(row, cost) for row in mine])
             mean, low, high = interval(values, np.random.default_rng(0))
-            line += f"{f'{mean:.4g} [{low:.4g}, {high:.4g}]':>28s}"
+            line += f"{f'{mean:.3g} [{low:.3g}, {high:.3g}]':>30s}"
         share = sum(row["at_z1"] for row in mine) / sum(row["trials"] for row in mine)
         line += f"{np.mean([row['trials'] for row in mine]):8.1f}{share:7.2f}"
         if goal is not None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from workers.physics.rotations import Array
 from workers.tasks.walker.body import HINGES, Figure
 from workers.tasks.walker.recording import WalkRecorder
-from workers.tasks.walker.world import CONTROL, FEET, HIGH, LOW, TORQUE, WalkerWorld
+from workers.tasks.walker.world import CONTROL, FEET, GAIN, HIGH, LOW, TORQUE, WalkerWorld
 
 SPEED = 1.0
 """m/s that the helping hand moves the torso at: an easy walk."""
@@ -44,6 +44,7 @@ class WalkerEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
     Args:
         figure: the walker's measures.
         steps: control steps of an episode.
+        hand: gain of the whole helping hand, 1/s^2.
         recorder: keeps the frames of each episode, from the last `reset` on.
     """
 
@@ -51,8 +52,8 @@ class WalkerEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
     observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (16 + 2 * len(HINGES),), np.float64)
     action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(HINGES),), np.float32)
 
-    def __init__(self, figure: Figure, *, steps: int, recorder: WalkRecorder | None = None) -> None:
-        self.world = WalkerWorld(figure, speed=SPEED)
+    def __init__(self, figure: Figure, *, steps: int, hand: float = GAIN, recorder: WalkRecorder | None = None) -> None:
+        self.world = WalkerWorld(figure, speed=SPEED, gain=hand)
         self.steps = steps
         self.recorder = recorder
         self._unused = True

@@ -49,6 +49,8 @@ class WalkerSettings:
         steps: control steps (1/60 s) of an evaluation, whose mean reward is the value.
         training_steps: control steps of a training's episodes at the most.
         episodes: how many evaluations the value is the mean of.
+        hand: gain of the whole helping hand, kp in 1/s^2 (and kd in 1/s): 200 as published. Most bodies are carried
+            above 40 or so, whatever they do.
         withdrawal: how much of the help is withdrawn after an iteration in which half the episodes did not fall; twice
             that above 0.8, five times above 0.9.
         deadline: share of the budget after which all is withdrawn that the difficulty withdraws, step by step, whether
@@ -59,6 +61,7 @@ class WalkerSettings:
     steps: int = setting(500, Rule("int", 1, 10_000))
     training_steps: int = setting(200, Rule("int", 1, 10_000))
     episodes: int = setting(4, Rule("int", 1, 100))
+    hand: float = setting(200.0, Rule("float", 0.0, 1000.0, open_low=True))
     withdrawal: float = setting(0.02, Rule("float", 0.0, 1.0, open_low=True))
     deadline: float = setting(0.5, Rule("float", 0.0, 1.0, open_low=True))
     budget: float = setting(0.25, Rule("float", 0.0, 1.0, open_low=True))

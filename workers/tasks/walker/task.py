@@ -86,7 +86,7 @@ class WalkerProblem:
 
     def make_env(self) -> gymnasium.Env[Any, Any]:
         """A new environment."""
-        return WalkerEnv(self.figure, steps=self.settings.training_steps)
+        return WalkerEnv(self.figure, steps=self.settings.training_steps, hand=self.settings.hand)
 
     def curriculum(self) -> Curriculum:
         """From whole help to that of the difficulty."""
@@ -94,7 +94,7 @@ class WalkerProblem:
 
     def walk(self, policy: Policy, seed: int, recorder: WalkRecorder | None = None) -> Episode:
         """One evaluation: a deterministic episode in a new world, with the help of the difficulty."""
-        env = WalkerEnv(self.figure, steps=self.settings.steps, recorder=recorder)
+        env = WalkerEnv(self.figure, steps=self.settings.steps, hand=self.settings.hand, recorder=recorder)
         try:
             return play(env, policy, seed=seed, level=self.z)
         finally:

@@ -37,7 +37,7 @@ STEPS = 4
 CONTROL = STEP * STEPS
 SOLVER_ITERATIONS = 10
 GAIN = 200.0
-"""kp, 1/s^2, and kd, 1/s, where help is whole."""
+"""kp, 1/s^2, and kd, 1/s, where help is whole, as published."""
 STIFFNESS = 40.0
 """N m/rad of every hinge's ligaments, whose rest is the standing pose. Two ankles need 700 to hold the whole body."""
 DAMPING = 5.0
@@ -60,10 +60,11 @@ class WalkerWorld:
     Args:
         figure: the walker's measures.
         speed: that the helping hand pushes towards, m/s.
+        gain: of the whole hand, kp (1/s^2) and kd (1/s).
     """
 
-    def __init__(self, figure: Figure, *, speed: float) -> None:
-        self.figure, self.speed = figure, speed
+    def __init__(self, figure: Figure, *, speed: float, gain: float = GAIN) -> None:
+        self.figure, self.speed, self.gain = figure, speed, gain
         self._urdf = figure.urdf()
         self._client = -1
         self._level = 1.0
@@ -136,7 +137,7 @@ class WalkerWorld:
     @level.setter
     def level(self, level: float) -> None:
         self._level = level
-        gain = GAIN * (1 - level)
+        gain = self.gain * (1 - level)
         whole = gain * np.array([self.figure.mass] * 3 + (1 / np.diag(self._mobility)[3:]).tolist())
         # backward Euler: the push is that for the speeds which it will have led to, v + dt mobility push
         implicit = np.linalg.solve(np.eye(6) + CONTROL * whole[:, None] * self._mobility, np.diag(whole))
