@@ -1,18 +1,18 @@
 """What a tuned setting is worth: how soon the athlete learns to walk for long, and to run, beside the default setting.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.tuned --seeds 3 --samples 100000 --searches "cmfbo 0;gp_ucb 0"
+    OMP_NUM_THREADS=1 python -m benchmarks.tuned --seeds 3 --samples 150000 --searches "cmfbo 0;gp_ucb 0"
     OMP_NUM_THREADS=1 python -m benchmarks.tuned --clips walk --samples 20000000     # until 20 s are learnt
     python -m benchmarks.tuned --print
 
 A tuned setting is the best one at z = 1 that a search of `benchmarks.tuning walk` has on file (`--searches`, each with
-its seed); the default is what `studies/tune_walk.yaml` trains with in its quick profile. All train from scratch, while
-the best of `cmfbo` had a policy handed on. Settings were found for 2 s of walking; here episodes get longer for as long
-as they are followed, up to 20 s, and a setting is used for another clip as well.
+its seed); the default is what `studies/tune_walk.yaml` trains with (`--profile`: in which profile). All train from
+scratch, while the best of `cmfbo` had a policy handed on. Settings were found for 2 s of walking in the quick profile;
+here episodes get longer for as long as they are followed, up to 20 s, and a setting is used for another clip as well.
 
 Figures: samples after which episodes got that long, because 80 % of an iteration's had been followed to their end
-(they begin with 1 s, and grow by 0.5 s), `-` where they didn't within `--samples`; and what the last iteration
-followed. Settings alternate within each seed. A training is a row of `benchmarks/figures/tuned.jsonl`; what has one
-is not trained again.
+(they begin with 1 s, and grow by 0.5 s), `-` where they didn't within `--samples`; and how long the policy follows in
+the end without noise. Settings alternate within each seed. A training is a row of `benchmarks/figures/tuned.jsonl`;
+what has one is not trained again.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from services.spec_check import load_study
 from workers.contracts import Job
 from workers.local_context import LocalContext
 from workers.run import run
+from workers.tasks.imitation.settings import TRAINING
 
 LENGTHS = (1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
 """Seconds."""
@@ -51,11 +52,12 @@ def tuned_setting(search: str, seed: int) -> dict[str, Any]:
     return dict(found[-1]["best"]["params"])
 
 
-def train(clip: str, params: Mapping[str, Any], seed: int, samples: int) -> Row:
+def train(clip: str, params: Mapping[str, Any], seed: int, samples: int, profile: str) -> Row:
     """One training: when episodes had got how long."""
-    spec = load_study(STUDIES / "tune_walk.yaml", ["profile=quick", f"task.settings.clip={clip}"])
+    chosen = [f"profile={profile}"] if profile else []
+    spec = load_study(STUDIES / "tune_walk.yaml", [*chosen, f"task.settings.clip={clip}"])
     settings = {**spec.task.settings, "longest": 600, "budget": 1.0}
-    ppo = dict(spec.training["ppo"])
+    ppo = {"samples": TRAINING.ppo.samples, **dict(spec.training.get("ppo", {}))}
     # exploration ends with the budget, as it does in the searches
     training = {
         **spec.training,
@@ -103,14 +105,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--clips", default="walk,run")
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--samples", type=int, default=100_000)
+    parser.add_argument("--samples", type=int, default=150_000)
+    parser.add_argument(
+        "--profile", default="", help="of the study; without one its own learner, larger than that of quick"
+    )
     parser.add_argument("--searches", default="cmfbo 0", help="whose settings: NAME SEED, separated by semicolons")
     parser.add_argument("--results", type=Path, default=FIGURES / "tuned.jsonl")
     parser.add_argument("--print", action="store_true", help="only what is on file")
     options = parser.parse_args()
     every = read(options.results)
     if options.print:
-        report(every)
+        for samples, profile in dict.fromkeys((row["samples_allowed"], row["profile"]) for row in every):
+            print(f"\n{samples:,} samples, {f'profile {profile}' if profile else 'no profile'}", end="")
+            report([row for row in every if (row["samples_allowed"], row["profile"]) == (samples, profile)])
         return
     settings = {"default": dict[str, Any]()}
     for words in filter(None, options.searches.split(";")):
@@ -123,16 +130,16 @@ def main() -> None:
             for setting, params in settings.items():
                 asked = {
                     "clip": clip, "setting": setting, "params": params, "seed": seed,
-                    "samples_allowed": options.samples, "physics": PHYSICS,
+                    "samples_allowed": options.samples, "profile": options.profile, "physics": PHYSICS,
                 }  # fmt: skip
                 if any(asked.items() <= row.items() for row in every):
                     continue
-                row = {**asked, "revision": code, **train(clip, params, seed, options.samples)}
+                row = {**asked, "revision": code, **train(clip, params, seed, options.samples, options.profile)}
                 every.append(row)
                 with options.results.open("a") as file:
                     file.write(json.dumps(row) + "\n")
                 print(f"{clip}, {setting}, seed {seed}: {row['curve'][-1]}, {row['minutes']:.1f} min", flush=True)
-    report([row for row in every if row["samples_allowed"] == options.samples])
+    report([r for r in every if (r["samples_allowed"], r["profile"]) == (options.samples, options.profile)])
 
 
 if __name__ == "__main__":

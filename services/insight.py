@@ -321,13 +321,34 @@ def best_json(looked: Looked) -> dict[str, Any] | None:
         "number": trial.number,
         "value": trial.value,
         "params": dict(trial.params),
-        "yaml": space_yaml(parameters, trial),
+        "yaml": space_yaml(parameters, trial, ancestors(looked.trials, trial)),
     }
 
 
-def space_yaml(parameters: Mapping[str, Parameter], best: TrialRow) -> str:
-    """A `space` section to paste into the next study, with the best value beside each parameter."""
-    lines = [f"# around trial {best.number}: value {as_written(float(f'{best.value:.6g}'))}", "space:"]
+def ancestors(trials: Sequence[TrialRow], trial: TrialRow) -> int:
+    """How many trainings the policy of a trial went through before its own, by what was handed on."""
+    by_number = {each.number: each for each in trials}
+    seen: set[int] = set()
+    parent = trial.warm_start
+    while parent is not None and parent not in seen:
+        seen.add(parent)
+        parent = by_number[parent].warm_start if parent in by_number else None
+    return len(seen)
+
+
+def space_yaml(parameters: Mapping[str, Parameter], best: TrialRow, before: int = 0) -> str:
+    """A `space` section to paste into the next study, with the best value beside each parameter.
+
+    Args:
+        parameters: of the section.
+        best: the trial it is around.
+        before: how many trainings the trial's policy went through before its own; the value is theirs, too.
+    """
+    lines = [f"# around trial {best.number}: value {as_written(float(f'{best.value:.6g}'))}"]
+    if before:
+        others = "another trial" if before == 1 else f"{before} other trials"
+        lines.append(f"# its policy had learnt in {others} before: from scratch the same setting may come to less")
+    lines.append("space:")
     for name, parameter in parameters.items():
         value = best.params[name]
         shown = value if isinstance(value, str) else as_written(float(f"{value:.6g}"))

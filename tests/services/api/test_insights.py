@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from search import Categorical, Float
-from services.insight import looked_at
+from services.insight import ancestors, looked_at, space_yaml
 from services.spec_check import parse_study
 from services.states import TrialState
 from services.store.port import Driver, NewTrial, Result
@@ -243,9 +243,28 @@ class TestImportance:
         assert pasted.space["kind"].choices == (best["params"]["kind"],)
         assert pasted.space["rate"].log
 
+    @pytest.mark.parametrize("strategy", ["cmfbo", "random"])
+    def test_the_best_setting_says_so_where_its_policy_was_handed_on(self, client, store, strategy):
+        tuned(store, strategy=strategy)
+        best = client.get("/api/v1/studies/tuned/importance").json()["best"]
+        parent = store.trial(store.study("tuned").id, best["number"]).warm_start
+        assert ("had learnt in another trial before: from scratch" in best["yaml"]) == (parent is not None)
+
+    def test_what_a_policy_went_through_is_counted_along_its_line(self, store):
+        tuned(store)
+        first, second, third = store.history(store.study("tuned").id)[:3]
+        line = [
+            replace(first, warm_start=None),
+            replace(second, warm_start=first.number),
+            replace(third, warm_start=second.number),
+        ]
+        assert [ancestors(line, trial) for trial in line] == [0, 1, 2]
+        assert ancestors([], line[2]) == 1, "a parent that is not among the trials still was one"
+        assert "in 2 other trials before: from scratch" in space_yaml({}, line[2], 2)
+        assert "from scratch" not in space_yaml({}, line[0], 0)
+
     @pytest.mark.parametrize("name", ["on", "1e-4", "a: b", "ppo.clip", "~", 'say "hi"', "α", "null", "#x"])
     def test_names_that_yaml_would_misread_are_quoted(self, name):
-        from services.insight import space_yaml
         from services.located_yaml import parse
 
         text = space_yaml({name: Float(0.0, 1.0), "c": Categorical((name,))}, BestTrial({name: 0.5, "c": name}))
