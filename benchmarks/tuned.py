@@ -52,10 +52,10 @@ def tuned_setting(search: str, seed: int) -> dict[str, Any]:
     return dict(found[-1]["best"]["params"])
 
 
-def train(clip: str, params: Mapping[str, Any], seed: int, samples: int, profile: str) -> Row:
+def train(clip: str, params: Mapping[str, Any], seed: int, samples: int, profile: str, overrides: Sequence[str]) -> Row:
     """One training: when episodes had got how long."""
     chosen = [f"profile={profile}"] if profile else []
-    spec = load_study(STUDIES / "tune_walk.yaml", [*chosen, f"task.settings.clip={clip}"])
+    spec = load_study(STUDIES / "tune_walk.yaml", [*chosen, f"task.settings.clip={clip}", *overrides])
     settings = {**spec.task.settings, "longest": 600, "budget": 1.0}
     ppo = {"samples": TRAINING.ppo.samples, **dict(spec.training.get("ppo", {}))}
     # exploration ends with the budget, as it does in the searches
@@ -74,6 +74,12 @@ def train(clip: str, params: Mapping[str, Any], seed: int, samples: int, profile
             "status": outcome.status, "learnt": outcome.details.get("learnt"),
             "per_step": outcome.details.get("return_per_step"), "followed": outcome.details.get("seconds_followed"),
         }  # fmt: skip
+
+
+def conditions(row: Row) -> str:
+    """Under what a training was: rows are compared where it is the same."""
+    profile = f"profile {row['profile']}" if row["profile"] else "no profile"
+    return ", ".join([f"{row['samples_allowed']:,} samples", profile, *row["set"]])
 
 
 def changes(curve: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
@@ -109,15 +115,16 @@ def main() -> None:
     parser.add_argument(
         "--profile", default="", help="of the study; without one its own learner, larger than that of quick"
     )
+    parser.add_argument("--set", action="append", default=[], help="overrides of the study, as `halma run --set`")
     parser.add_argument("--searches", default="cmfbo 0", help="whose settings: NAME SEED, separated by semicolons")
     parser.add_argument("--results", type=Path, default=FIGURES / "tuned.jsonl")
     parser.add_argument("--print", action="store_true", help="only what is on file")
     options = parser.parse_args()
     every = read(options.results)
     if options.print:
-        for samples, profile in dict.fromkeys((row["samples_allowed"], row["profile"]) for row in every):
-            print(f"\n{samples:,} samples, {f'profile {profile}' if profile else 'no profile'}", end="")
-            report([row for row in every if (row["samples_allowed"], row["profile"]) == (samples, profile)])
+        for words in dict.fromkeys(map(conditions, every)):
+            print(f"\n{words}", end="")
+            report([row for row in every if conditions(row) == words])
         return
     settings = {"default": dict[str, Any]()}
     for words in filter(None, options.searches.split(";")):
@@ -130,16 +137,22 @@ def main() -> None:
             for setting, params in settings.items():
                 asked = {
                     "clip": clip, "setting": setting, "params": params, "seed": seed,
-                    "samples_allowed": options.samples, "profile": options.profile, "physics": PHYSICS,
+                    "samples_allowed": options.samples, "profile": options.profile, "set": options.set,
+                    "physics": PHYSICS,
                 }  # fmt: skip
                 if any(asked.items() <= row.items() for row in every):
                     continue
-                row = {**asked, "revision": code, **train(clip, params, seed, options.samples, options.profile)}
+                row = {
+                    **asked,
+                    "revision": code,
+                    **train(clip, params, seed, options.samples, options.profile, options.set),
+                }
                 every.append(row)
                 with options.results.open("a") as file:
                     file.write(json.dumps(row) + "\n")
                 print(f"{clip}, {setting}, seed {seed}: {row['curve'][-1]}, {row['minutes']:.1f} min", flush=True)
-    report([r for r in every if (r["samples_allowed"], r["profile"]) == (options.samples, options.profile)])
+    here = {"samples_allowed": options.samples, "profile": options.profile, "set": options.set}
+    report([row for row in every if here.items() <= row.items()])
 
 
 if __name__ == "__main__":

@@ -81,6 +81,20 @@ def test_whoever_is_where_the_reference_is_earns_a_full_reward(walk):
     env.close()
 
 
+@pytest.mark.parametrize("name", ["walk", "run"])
+def test_targets_ahead_of_the_reference_make_up_for_the_lag_of_the_controllers(name):
+    def earned(lead):
+        env = ImitationEnv(reference.read(name), lead=lead)
+        total = 0.0
+        for seed in range(6):
+            env.reset(seed=seed, options={"level": 30})
+            total += sum(env.step(np.zeros(28, np.float32))[1] for _ in range(10))
+        env.close()
+        return total
+
+    assert earned(0.067) > 1.1 * earned(0.0)
+
+
 def test_episodes_begin_all_over_the_clip_end_at_a_fall_and_are_functions_of_their_seed(walk):
     env = ImitationEnv(walk)
     starts = []

@@ -45,6 +45,7 @@ class ImitationEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
 
     Args:
         reference: what to follow.
+        lead: seconds that the poses which actions correct are ahead of it.
         recorder: keeps a frame for each control step of each episode, from the last `reset` on.
         random_start: whether episodes begin at a random time, or all at the beginning.
     """
@@ -52,8 +53,10 @@ class ImitationEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
     metadata = {"render_modes": []}  # noqa: RUF012 - gymnasium declares it so
     action_space = gymnasium.spaces.Box(-np.inf, np.inf, (COORDINATES,), np.float32)
 
-    def __init__(self, reference: Reference, *, recorder: Recorder | None = None, random_start: bool = True) -> None:
-        self.reference, self.recorder, self.random_start = reference, recorder, random_start
+    def __init__(
+        self, reference: Reference, *, lead: float = 0.0, recorder: Recorder | None = None, random_start: bool = True
+    ) -> None:
+        self.reference, self.lead, self.recorder, self.random_start = reference, lead, recorder, random_start
         self.world = World(furnished=False, loaded_steps=LOADED_STEPS, measure_torque=recorder is not None)
         athlete = self.world.athlete
         self._unused = True
@@ -95,7 +98,8 @@ class ImitationEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         self._time += CONTROL
         self._elapsed += 1
         moment = self.reference.at(self._time)
-        self.world.athlete.command(moment.pose + SCALE * np.asarray(action, np.float64))
+        aim = self.reference.at(self._time + self.lead).pose if self.lead else moment.pose
+        self.world.athlete.command(aim + SCALE * np.asarray(action, np.float64))
         fallen = False
         contacts = Contacts()
         for _ in range(FRAMES):

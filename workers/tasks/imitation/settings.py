@@ -70,6 +70,8 @@ class ImitationSettings:
         threshold: return per step at which a motion counts as learnt, and the training ends.
         patience: iterations without a higher return after which the training ends.
         cost_scale: C, samples after which the same motion is worth 1/e.
+        lead: seconds that the targets an action corrects are ahead of the reference: PD controllers lag by 0.1 s, their
+            damping over their stiffness.
         growth: control steps that episodes get longer by after an iteration in which fewer than 20 % failed.
         longest: control steps of an episode at difficulty 1, 20 s where not given.
         episodes: how many evaluations the value is the mean of.
@@ -80,6 +82,7 @@ class ImitationSettings:
     threshold: float = setting(0.8, Rule("float", 0.0, 1.0, open_low=True))
     patience: int = setting(500, Rule("int", 1))
     cost_scale: float = setting(1e7, Rule("float", 0.0, open_low=True))
+    lead: float = setting(0.0, Rule("float", 0.0, 1.0))
     growth: int = setting(15, Rule("int", 1, LONGEST))
     longest: int = setting(LONGEST, Rule("int", SHORTEST, LONGEST))
     episodes: int = setting(4, Rule("int", 1, 100))

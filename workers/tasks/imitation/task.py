@@ -109,7 +109,7 @@ class ImitationProblem:
 
     def make_env(self) -> gymnasium.Env[Any, Any]:
         """A new environment."""
-        return ImitationEnv(self.reference)
+        return ImitationEnv(self.reference, lead=self.settings.lead)
 
     def curriculum(self) -> Curriculum:
         """From the first episodes' length to T(z)."""
@@ -117,7 +117,8 @@ class ImitationProblem:
 
     def follow(self, policy: Policy, seed: int, recorder: Recorder | None = None) -> Episode:
         """One evaluation: a deterministic episode of T(z) steps in a new world; a recorded one from the beginning."""
-        env = ImitationEnv(self.reference, recorder=recorder, random_start=recorder is None)
+        lead = self.settings.lead
+        env = ImitationEnv(self.reference, lead=lead, recorder=recorder, random_start=recorder is None)
         try:
             return play(env, policy, seed=seed, level=float(self.longest))
         finally:
