@@ -129,6 +129,8 @@ def main() -> None:
     settings = {"default": dict[str, Any]()}
     for words in filter(None, options.searches.split(";")):
         search, _, seed = words.strip().rpartition(" ")
+        if not seed.isdecimal():
+            parser.error(f"--searches: expected a search and its seed, as in 'cmfbo 0', found {words.strip()!r}")
         settings[words.strip()] = tuned_setting(search, int(seed))
         print(f"{words.strip()}: {settings[words.strip()]}")
     code = revision()

@@ -5,26 +5,25 @@ The figures come from `search.insight`; here the record is translated for it, an
 
 from __future__ import annotations
 
-import json
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from search import Angle, Candidate, Categorical, Observation, SearchError
+from search import Candidate, Observation, SearchError
 from search.insight.importance import Importances, importances, narrowed
 from search.insight.slices import Ask, Axis, NothingYet, Slice, foot_of, slice_of
 from search.insight.surrogates import MODELS_BEHAVIOUR, MODELS_VALUE, Subject, Surrogates
 from search.record import SEARCH, read_record
-from search.space import Parameter
 from services.course import answers
 from services.errors import BadInput
+from services.lineage import learnt_before
 from services.proposing import proposal_key
 from services.report import spec_of
-from services.spec import ResolvedSpec, as_written
+from services.space_text import space_yaml
+from services.spec import ResolvedSpec
 from services.states import OBSERVED_TRIAL
 from services.store.port import StudyRow, TrialRow
 from services.translate import make_strategy_of
@@ -321,61 +320,8 @@ def best_json(looked: Looked) -> dict[str, Any] | None:
         "number": trial.number,
         "value": trial.value,
         "params": dict(trial.params),
-        "yaml": space_yaml(parameters, trial, ancestors(looked.trials, trial)),
+        "yaml": space_yaml(parameters, trial, learnt_before(trial, looked.trials)),
     }
-
-
-def ancestors(trials: Sequence[TrialRow], trial: TrialRow) -> int:
-    """How many trainings the policy of a trial went through before its own, by what was handed on."""
-    by_number = {each.number: each for each in trials}
-    seen: set[int] = set()
-    parent = trial.warm_start
-    while parent is not None and parent not in seen:
-        seen.add(parent)
-        parent = by_number[parent].warm_start if parent in by_number else None
-    return len(seen)
-
-
-def space_yaml(parameters: Mapping[str, Parameter], best: TrialRow, before: int = 0) -> str:
-    """A `space` section to paste into the next study, with the best value beside each parameter.
-
-    Args:
-        parameters: of the section.
-        best: the trial it is around.
-        before: how many trainings the trial's policy went through before its own; the value is theirs, too.
-    """
-    lines = [f"# around trial {best.number}: value {as_written(float(f'{best.value:.6g}'))}"]
-    if before:
-        others = "another trial" if before == 1 else f"{before} other trials"
-        lines.append(f"# its policy had learnt in {others} before: from scratch the same setting may come to less")
-    lines.append("space:")
-    for name, parameter in parameters.items():
-        value = best.params[name]
-        shown = value if isinstance(value, str) else as_written(float(f"{value:.6g}"))
-        lines.append(f"  {_scalar(name)}: {_parameter_yaml(parameter)}  # best: {shown}")
-    return "\n".join(lines) + "\n"
-
-
-def _parameter_yaml(parameter: Parameter) -> str:
-    if isinstance(parameter, Angle):
-        return "angle"
-    if isinstance(parameter, Categorical):
-        return f"{{type: categorical, choices: [{', '.join(_scalar(choice) for choice in parameter.choices)}]}}"
-    kind = type(parameter).__name__.lower()
-    log = ", log: true" if parameter.log else ""
-    return f"{{type: {kind}, low: {as_written(parameter.low)}, high: {as_written(parameter.high)}{log}}}"
-
-
-PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*")
-MISREAD = frozenset({"true", "false", "null", "on", "off", "yes", "no", "nan", "inf"})
-"""Words that YAML takes for something else."""
-
-
-def _scalar(value: Any) -> str:
-    """One value as YAML inside braces: quoted unless it is a bare word."""
-    if isinstance(value, str) and (not PLAIN.fullmatch(value) or value.lower() in MISREAD):
-        return json.dumps(value, ensure_ascii=False)  # a JSON string is a double-quoted YAML string
-    return value if isinstance(value, str) else json.dumps(value)
 
 
 def significant(value: float) -> float:

@@ -15,6 +15,18 @@ def line_of(trial: int, parents: Mapping[int, int | None]) -> list[int]:
     return line[::-1]
 
 
+def began_anew(trial: TrialRow) -> bool:
+    """Whether it took nothing but its parent's statistics, since its networks have other sizes."""
+    taken = trial.details.get("warm_start")
+    return isinstance(taken, Mapping) and taken.get("networks") is False
+
+
+def learnt_before(trial: TrialRow, trials: Sequence[TrialRow]) -> int:
+    """How many of `trials` its networks had learnt in before they came to it."""
+    parents = {each.number: None if began_anew(each) else each.warm_start for each in (*trials, trial)}
+    return len(line_of(trial.number, parents)) - 1
+
+
 def lineage_words(trials: Sequence[TrialRow]) -> str | None:
     """`3 of 8 trials started from another's policy; the longest line: 0 → 2 → 7`; None where none did.
 

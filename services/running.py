@@ -49,10 +49,12 @@ def leaving_on_signals(leave: Leave) -> Iterator[None]:
             raise KeyboardInterrupt
         leave()
 
+    told = logging.root.manager.disable
     before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
+        logging.disable(told)
         for number, handler in before.items():
             signal.signal(number, handler)
 

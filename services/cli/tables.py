@@ -13,6 +13,7 @@ from search.record import SEARCH
 from services.budget import has_stages, most_trials
 from services.cli.layout import Column, fitted
 from services.cli.words import count, duration, first_line, value_of
+from services.lineage import began_anew
 from services.spec import Behaviour
 from services.stages import StageProgress
 from services.store.port import StudyRow, TrialRow
@@ -100,9 +101,7 @@ def parent_of(trial: TrialRow) -> str:
     """The trial whose policy it started from; `(statistics)` where its networks have other sizes and began anew."""
     if trial.warm_start is None:
         return "-"
-    taken = trial.details.get("warm_start")
-    anew = isinstance(taken, Mapping) and taken.get("networks") is False
-    return f"{trial.warm_start} (statistics)" if anew else str(trial.warm_start)
+    return f"{trial.warm_start} (statistics)" if began_anew(trial) else str(trial.warm_start)
 
 
 def trials_table(

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from search import Categorical, Float
-from services.insight import ancestors, looked_at, space_yaml
+from services.insight import looked_at
+from services.lineage import learnt_before
+from services.space_text import space_yaml
 from services.spec_check import parse_study
 from services.states import TrialState
 from services.store.port import Driver, NewTrial, Result
@@ -258,8 +260,11 @@ class TestImportance:
             replace(second, warm_start=first.number),
             replace(third, warm_start=second.number),
         ]
-        assert [ancestors(line, trial) for trial in line] == [0, 1, 2]
-        assert ancestors([], line[2]) == 1, "a parent that is not among the trials still was one"
+        assert [learnt_before(trial, line) for trial in line] == [0, 1, 2]
+        assert learnt_before(line[2], []) == 1, "a parent that is not among the trials still was one"
+        anew = replace(line[1], details={"warm_start": {"parent": first.number, "networks": False}})
+        assert learnt_before(anew, line) == 0, "networks of another size hand on nothing that was learnt"
+        assert learnt_before(line[2], [line[0], anew, line[2]]) == 1
         assert "in 2 other trials before: from scratch" in space_yaml({}, line[2], 2)
         assert "from scratch" not in space_yaml({}, line[0], 0)
 

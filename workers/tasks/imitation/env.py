@@ -98,7 +98,7 @@ class ImitationEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         self._time += CONTROL
         self._elapsed += 1
         moment = self.reference.at(self._time)
-        aim = self.reference.at(self._time + self.lead).pose if self.lead else moment.pose
+        aim = self.reference.at(self._time + self.lead).pose
         self.world.athlete.command(aim + SCALE * np.asarray(action, np.float64))
         fallen = False
         contacts = Contacts()
