@@ -72,7 +72,7 @@ class ImitationEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         reference: Reference,
         *,
         lead: float = 0.0,
-        bounds: Bounds = Bounds(),  # noqa: B008 - frozen
+        bounds: Bounds = Bounds(),
         recorder: Recorder | None = None,
         random_start: bool = True,
     ) -> None:
