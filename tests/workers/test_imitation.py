@@ -11,7 +11,7 @@ from workers.local_context import LocalContext
 from workers.physics import clips, rotations
 from workers.run import run
 from workers.tasks.imitation import reference
-from workers.tasks.imitation.env import CONTROL, ImitationEnv
+from workers.tasks.imitation.env import CONTROL, Bounds, ImitationEnv
 from workers.tasks.imitation.settings import SPACE, ImitationSettings, steps_at
 from workers.tasks.imitation.task import LENGTH, EpisodeLength, Imitation, problem_of
 
@@ -121,6 +121,26 @@ def test_episodes_begin_all_over_the_clip_end_at_a_fall_and_are_functions_of_the
     env.close()
 
 
+@pytest.mark.parametrize("bounds", [Bounds(away=0.15), Bounds(turned=0.4)])
+def test_an_episode_ends_with_the_first_step_out_of_bounds(walk, bounds):
+    env = ImitationEnv(walk, bounds=bounds)
+    env.reset(seed=5, options={"level": 90})
+    over, inside = False, []
+    while not over:
+        _, _, fallen, cut, info = env.step(np.full(28, 0.3))
+        links, moment = env.world.athlete.links(), walk.at(env._time)
+        away = np.linalg.norm(env.world.athlete.centre_of_mass(links) - moment.com)
+        turned = rotations.multiply(links[:1, 3:7], rotations.conjugate(moment.orientation[None]))
+        angle = np.linalg.norm(rotations.to_rotation_vector(turned))
+        inside.append(away <= bounds.away and angle <= bounds.turned)
+        over = fallen or cut
+    assert fallen
+    assert not info["success"]
+    assert len(inside) > 3
+    assert inside == [True] * (len(inside) - 1) + [False]
+    env.close()
+
+
 def test_episodes_get_half_a_second_longer_while_fewer_than_a_fifth_fail():
     curriculum = EpisodeLength(ImitationSettings(threshold=0.8, patience=3), longest=60, start=30)
     curriculum.update([20.0] * 10, [True] * 8 + [False] * 2)
@@ -211,6 +231,7 @@ def test_every_packaged_clip_can_be_followed_for_some_steps():
         ({"clip": "no/such.txt"}, [], "task.settings.clip: no/such.txt: expected a motion clip, found nothing to read"),
         ({"clips": "walk"}, [], "task.settings.clips: unknown setting; did you mean 'clip'?"),
         ({}, ["ppo.clop"], "space.ppo.clop: no setting of the learner; did you mean 'ppo.clip'"),
+        ({"bound_turn": 4}, [], "task.settings.bound_turn: expected a number above 0 and at most 3.14159, found 4"),
         ({"threshold": 1.5}, [], "task.settings.threshold: expected a number above 0 and at most 1, found 1.5"),
     ],
 )  # fmt: skip

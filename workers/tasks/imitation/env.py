@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
@@ -23,9 +24,20 @@ CONTROL = FRAMES * FRAME
 SCALE = 0.25
 """rad that an action of 1 moves a target by."""
 LOADED_STEPS = 2
-LOST = 1.0
-"""m that the centre of mass may be from the reference's: who is further away doesn't follow it any more."""
 _TURNED = 3 * len(SPHERICAL)
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """How far an athlete who follows may be from the reference (spacetime bounds, Ma et al. 2021).
+
+    Args:
+        away: m between the centres of mass.
+        turned: rad between the orientations of the roots.
+    """
+
+    away: float = 1.0
+    turned: float = math.pi
 
 
 class ImitationEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
@@ -41,11 +53,13 @@ class ImitationEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
 
     Reward: Peng et al. 2018, equations 5 to 9: 0.65 pose + 0.1 velocity + 0.15 end effectors + 0.1 centre of mass, each
     of them in (0, 1]. An episode begins at a random time of the reference (reference state initialisation), ends where
-    the trunk touches the ground or is lost (early termination), and is truncated after `options["level"]` steps.
+    the trunk touches the ground or the athlete is out of bounds (early termination), and is truncated after
+    `options["level"]` steps.
 
     Args:
         reference: what to follow.
         lead: seconds that the poses which actions correct are ahead of it.
+        bounds: how far from it the athlete may be.
         recorder: keeps a frame for each control step of each episode, from the last `reset` on.
         random_start: whether episodes begin at a random time, or all at the beginning.
     """
@@ -54,9 +68,16 @@ class ImitationEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
     action_space = gymnasium.spaces.Box(-np.inf, np.inf, (COORDINATES,), np.float32)
 
     def __init__(
-        self, reference: Reference, *, lead: float = 0.0, recorder: Recorder | None = None, random_start: bool = True
+        self,
+        reference: Reference,
+        *,
+        lead: float = 0.0,
+        bounds: Bounds = Bounds(),
+        recorder: Recorder | None = None,
+        random_start: bool = True,
     ) -> None:
-        self.reference, self.lead, self.recorder, self.random_start = reference, lead, recorder, random_start
+        self.reference, self.lead, self.bounds = reference, lead, bounds
+        self.recorder, self.random_start = recorder, random_start
         self.world = World(furnished=False, loaded_steps=LOADED_STEPS, measure_torque=recorder is not None)
         athlete = self.world.athlete
         self._unused = True
@@ -109,12 +130,17 @@ class ImitationEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             self.recorder.add(self.world, contacts)
         links = self.world.athlete.links()
         reward, parts, away = self._reward(links, moment)
-        failed = fallen or away > LOST
+        failed = fallen or self._is_lost(away, links, moment)
         over = self._elapsed >= self._steps
         info: dict[str, Any] = {}
         if failed or over:
             info = {"success": not failed, "length": self._steps, "metrics": parts}
         return self._observation(links, moment), reward, failed, over and not failed, info
+
+    def _is_lost(self, away: float, links: Array, moment: Moment) -> bool:
+        """Whether the athlete, its centre of mass `away` (m) from the reference's, is out of bounds."""
+        cosine = min(1.0, abs(float(links[0, 3:7] @ moment.orientation)))  # of half the angle between the roots
+        return away > self.bounds.away or 2 * math.acos(cosine) > self.bounds.turned
 
     def _reward(self, links: Array, moment: Moment) -> tuple[float, dict[str, float], float]:
         """The reward, its four parts by name, and how far the centre of mass is from the reference's (m)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -72,6 +73,9 @@ class ImitationSettings:
         cost_scale: C, samples after which the same motion is worth 1/e.
         lead: seconds that the targets an action corrects are ahead of the reference: PD controllers lag by 0.1 s, their
             damping over their stiffness.
+        bound: m that the centre of mass may be from the reference's; an episode ends beyond it (early termination by
+            loose bounds in space and time, Ma et al. 2021). Tight ones keep samples for what can still be followed.
+        bound_turn: rad that the root may be turned away from the reference's.
         growth: control steps that episodes get longer by after an iteration in which fewer than 20 % failed.
         longest: control steps of an episode at difficulty 1, 20 s where not given.
         episodes: how many evaluations the value is the mean of.
@@ -83,6 +87,8 @@ class ImitationSettings:
     patience: int = setting(500, Rule("int", 1))
     cost_scale: float = setting(1e7, Rule("float", 0.0, open_low=True))
     lead: float = setting(0.0, Rule("float", 0.0, 1.0))
+    bound: float = setting(1.0, Rule("float", 0.0, 100.0, open_low=True))
+    bound_turn: float = setting(math.pi, Rule("float", 0.0, math.pi, open_low=True))
     growth: int = setting(15, Rule("int", 1, LONGEST))
     longest: int = setting(LONGEST, Rule("int", SHORTEST, LONGEST))
     episodes: int = setting(4, Rule("int", 1, 100))

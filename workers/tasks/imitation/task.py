@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
-import gymnasium
 import numpy as np
 
 from workers.contracts import JSON, BadJob, Context, Job, Outcome, TaskInfo
@@ -19,7 +17,7 @@ from workers.learning.settings import Budget, TrainingSettings, check_searched, 
 from workers.replay import Recorder, Replay
 from workers.tasks.high_jump.task import REPLAY_ARTIFACT
 from workers.tasks.imitation import reference
-from workers.tasks.imitation.env import CONTROL, ImitationEnv
+from workers.tasks.imitation.env import CONTROL, Bounds, ImitationEnv
 from workers.tasks.imitation.reference import Reference
 from workers.tasks.imitation.settings import SHORTEST, SPACE, TRAINING, ImitationSettings, steps_at
 
@@ -107,9 +105,16 @@ class ImitationProblem:
     longest: int
     start: int = SHORTEST
 
-    def make_env(self) -> gymnasium.Env[Any, Any]:
-        """A new environment."""
-        return ImitationEnv(self.reference, lead=self.settings.lead)
+    def make_env(self, recorder: Recorder | None = None) -> ImitationEnv:
+        """A new environment; a recorded one begins at the clip's beginning."""
+        settings = self.settings
+        return ImitationEnv(
+            self.reference,
+            lead=settings.lead,
+            bounds=Bounds(settings.bound, settings.bound_turn),
+            recorder=recorder,
+            random_start=recorder is None,
+        )
 
     def curriculum(self) -> Curriculum:
         """From the first episodes' length to T(z)."""
@@ -117,8 +122,7 @@ class ImitationProblem:
 
     def follow(self, policy: Policy, seed: int, recorder: Recorder | None = None) -> Episode:
         """One evaluation: a deterministic episode of T(z) steps in a new world; a recorded one from the beginning."""
-        lead = self.settings.lead
-        env = ImitationEnv(self.reference, lead=lead, recorder=recorder, random_start=recorder is None)
+        env = self.make_env(recorder)
         try:
             return play(env, policy, seed=seed, level=float(self.longest))
         finally:
