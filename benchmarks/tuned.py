@@ -1,7 +1,7 @@
 """What a tuned setting is worth: how soon the athlete learns to walk for long, and to run, beside the default setting.
 
     OMP_NUM_THREADS=1 python -m benchmarks.tuned --seeds 3 --samples 150000 --searches "cmfbo 0;gp_ucb 0"
-    OMP_NUM_THREADS=1 python -m benchmarks.tuned --clips walk --samples 20000000     # until 20 s are learnt
+    OMP_NUM_THREADS=1 python -m benchmarks.tuned --clips walk --samples 600000      # half an hour of a core each
     python -m benchmarks.tuned --print
 
 A tuned setting is the best one at z = 1 that a search of `benchmarks.tuning walk` has on file (`--searches`, each with

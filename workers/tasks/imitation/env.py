@@ -129,21 +129,16 @@ class ImitationEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
         if self.recorder is not None:
             self.recorder.add(self.world, contacts)
         links = self.world.athlete.links()
-        reward, parts, away = self._reward(links, moment)
-        failed = fallen or self._is_lost(away, links, moment)
+        reward, parts, away, turned = self._reward(links, moment)
+        failed = fallen or away > self.bounds.away or turned > self.bounds.turned
         over = self._elapsed >= self._steps
         info: dict[str, Any] = {}
         if failed or over:
             info = {"success": not failed, "length": self._steps, "metrics": parts}
         return self._observation(links, moment), reward, failed, over and not failed, info
 
-    def _is_lost(self, away: float, links: Array, moment: Moment) -> bool:
-        """Whether the athlete, its centre of mass `away` (m) from the reference's, is out of bounds."""
-        cosine = min(1.0, abs(float(links[0, 3:7] @ moment.orientation)))  # of half the angle between the roots
-        return away > self.bounds.away or 2 * math.acos(cosine) > self.bounds.turned
-
-    def _reward(self, links: Array, moment: Moment) -> tuple[float, dict[str, float], float]:
-        """The reward, its four parts by name, and how far the centre of mass is from the reference's (m)."""
+    def _reward(self, links: Array, moment: Moment) -> tuple[float, dict[str, float], float, float]:
+        """The reward, its four parts by name, how far centre of mass (m) and root (rad) are from the reference's."""
         athlete = self.world.athlete
         pose, rates = athlete.pose()
         turns = rotations.from_rotation_vector(pose[:_TURNED].reshape(-1, 3))
@@ -162,7 +157,7 @@ class ImitationEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             "centre": math.exp(-10.0 * float(away @ away)),  # equation 9
         }
         reward = 0.65 * parts["pose"] + 0.1 * parts["velocity"] + 0.15 * parts["ends"] + 0.1 * parts["centre"]
-        return reward, parts, float(np.linalg.norm(away))
+        return reward, parts, float(np.linalg.norm(away)), 2 * float(halves[-1])
 
     def _observation(self, links: Array, moment: Moment) -> NDArray[np.float64]:
         seen = links.copy()
