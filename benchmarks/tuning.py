@@ -5,7 +5,8 @@
     python -m benchmarks.tuning walk --seeds 3-5 --configs "cmfbo;gp_ucb;boca;tpe_hyperband;gp;random"
     python -m benchmarks.tuning walk --print
 
-The study is the one that `halma run` takes (`studies/`), in its quick profile, one trial at a time. The figure is the
+The study is the one that `halma run` takes (`studies/`), in its quick profile, one trial at a time; `long-walk` is that
+of the walk without profile: 20 s, three quarters of an hour of a core for a search. The figure is the
 best value at z = 1 that a search has seen by the time it has spent so many samples; values of easier tasks are no
 answers. A search whose answer is an easier evaluation (boca) has its parameters trained at z = 1 in the end, at no
 further cost. Only `cmfbo` proposes parents, so that `cmfbo, no transfer` is what the search alone is worth, and the
@@ -52,8 +53,12 @@ WHERE: Mapping[str, str] = {
     "gymnasium": "tune_gymnasium.yaml",
     "walker": "walker_morphology.yaml",
     "walk": "tune_walk.yaml",
+    "long-walk": "tune_walk.yaml",
 }
 """Name on the command line -> study."""
+
+WHOLE = frozenset({"long-walk"})
+"""Names whose study is run without profile, others in `quick`."""
 
 CONFIGS: Mapping[str, tuple[str, bool]] = {
     "cmfbo": ("cmfbo", True),
@@ -105,7 +110,8 @@ class Run:
 
 def run_of(name: str, config: str, seed: int, overrides: Sequence[str], folder: Path) -> Run:
     strategy, _ = CONFIGS[config]
-    chosen = ["profile=quick", f"search.strategy={strategy}", f"seed={seed}", *overrides]
+    profile = [] if name in WHOLE else ["profile=quick"]
+    chosen = [*profile, f"search.strategy={strategy}", f"seed={seed}", *overrides]
     if any(setting.name == "seed" for setting in strategy_class(strategy).info().settings):
         chosen.append(f"search.settings.seed={seed}")  # of a design that would else be the same for all seeds
     spec = load_study(STUDIES / WHERE[name], chosen)
