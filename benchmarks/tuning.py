@@ -45,6 +45,7 @@ from services.spec_check import load_study
 from services.translate import make_strategy_of
 from workers.contracts import Job
 from workers.local_context import LocalContext
+from workers.registry import load_task
 from workers.run import run
 
 STUDIES = Path(__file__).parent.parent / "studies"
@@ -99,7 +100,13 @@ class Run:
         """Of all that searches have in common; rows are compared where it is the same."""
         spec = self.spec
         space = {name: each.model_dump(mode="json") for name, each in (spec.space or {}).items()}
-        common = [PHYSICS, spec.task.name, spec.task.settings, spec.training, space, self.budget]
+        # with defaults written out: a study that says what went without saying is no other
+        info = load_task(spec.task.name).info(spec.task.settings)
+        training = {
+            key: {**part, **spec.training.get(key, {})} if isinstance(part, dict) else spec.training.get(key, part)
+            for key, part in info.training.items()
+        }
+        common = [PHYSICS, spec.task.name, info.settings, training, space, self.budget]
         return hashlib.sha256(json.dumps(common, sort_keys=True).encode()).hexdigest()[:12]
 
     @property
