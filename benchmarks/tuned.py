@@ -1,4 +1,4 @@
-"""What a tuned setting is worth: after how many samples the athlete walks for 20 s, and runs, beside the default setting.
+"""What a tuned setting is worth: after how many samples the athlete walks or runs for 20 s, beside the default setting.
 
     OMP_NUM_THREADS=1 python -m benchmarks.tuned --seeds 3 --searches "gp_ucb 0"
     OMP_NUM_THREADS=1 python -m benchmarks.tuned --clips run --samples 500000
@@ -19,6 +19,7 @@ trained again.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import statistics
 import tempfile
@@ -115,10 +116,9 @@ def train(clip: str, params: Mapping[str, Any], seed: int, samples: int, overrid
         job = Job("tuned", 0, "imitation", dict(params), seed, settings, training)
         context = Watched(Path(folder), job)
         began = time.process_time()
-        try:
-            status = run(job, context).status
-        except Interrupted:
-            status = "learnt"
+        status = "learnt"
+        with contextlib.suppress(Interrupted):  # by us, once it has
+            status = str(run(job, context).status)
         minutes = (time.process_time() - began) / 60 - context.minutes
         return {"status": status, "minutes": round(minutes, 2), "checks": context.checks}
 

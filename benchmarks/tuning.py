@@ -102,10 +102,10 @@ class Run:
         space = {name: each.model_dump(mode="json") for name, each in (spec.space or {}).items()}
         # with defaults written out: a study that says what went without saying is no other
         info = load_task(spec.task.name).info(spec.task.settings)
-        training = {
-            key: {**part, **spec.training.get(key, {})} if isinstance(part, dict) else spec.training.get(key, part)
-            for key, part in info.training.items()
-        }
+        training: dict[str, Any] = {**info.training, **spec.training}
+        for key, part in info.training.items():
+            if isinstance(part, dict):
+                training[key] = {**part, **spec.training.get(key, {})}
         common = [PHYSICS, spec.task.name, info.settings, training, space, self.budget]
         return hashlib.sha256(json.dumps(common, sort_keys=True).encode()).hexdigest()[:12]
 
