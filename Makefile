@@ -21,8 +21,12 @@ setup: $(STAMP)  ## make .venv with everything pinned (constraints.txt)
 run: $(STAMP)  ## the main job: search for different ways to jump over a bar, then show what was found
 	$(BIN)/halma run studies/quickstart.yaml
 
+# Rooms whose tests start whole services and browsers have both cores to themselves.
+ALONE := tests/chaos tests/dashboards tests/end_to_end
+
 test: $(STAMP)  ## all tests
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses 2 --dist loadfile $(addprefix --ignore=,$(ALONE)) tests
+	$(BIN)/pytest $(ALONE)
 
 chaos: $(STAMP)  ## break studies more than 500 times, and print what came of it (options in CHAOS=...; needs root)
 	PYTHONPATH=tests:. $(BIN)/python tests/chaos/campaign.py $(or $(CHAOS),run)

@@ -3,6 +3,7 @@ import { colour } from "./chart.js";
 import { number } from "./format.js";
 import { element, onTheme } from "./plain.js";
 import { svg } from "./svg.js";
+import { answers } from "./trials.js";
 
 const MOST_LINES = 400;
 
@@ -20,6 +21,8 @@ export class Parallel {
     return [
       ...numeric.map((name) => ({ name, title: title(name, this.units[name]), of: (t) => t.params[name], log: this.space[name]?.log })),
       ...(this.behaviour && this.behaviour.kind !== "rotation" ? this.behaviour.names : []).map((name, index) => ({ name: `feature.${name}`, title: title(name, this.behaviour.kind === "rotation" ? "" : this.behaviour.unit), of: (t) => t.features?.[index] ?? null })),
+      // Beside the value, which means little without it.
+      ...(told.some((trial) => trial.z !== null && trial.z !== 1) ? [{ name: "difficulty", title: "difficulty", of: (t) => t.z }] : []),
       { name: "value", title: this.value.title, of: (t) => t.value },
     ];
   }
@@ -49,7 +52,8 @@ export class Parallel {
       const scale = axis.log ? Math.log : (value) => value;
       axis.y = (value) => height - foot - (axis.high === axis.low ? 0.5 : (scale(value) - scale(axis.low)) / (scale(axis.high) - scale(axis.low))) * (height - top - foot);
     }
-    const ranked = [...told].sort((a, b) => b.value - a.value);
+    // What is behind: values of easier versions, however high.
+    const ranked = [...told].sort((a, b) => answers(b) - answers(a) || b.value - a.value);
     const step = Math.max(1, ranked.length / MOST_LINES);
     const drawn = ranked.filter((trial, index) => index < 50 || Math.floor(index / step) !== Math.floor((index - 1) / step)).reverse();
     const root = svg("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `Parallel coordinates of ${drawn.length} trials` });

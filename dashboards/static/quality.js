@@ -6,7 +6,8 @@ import { Overlay } from "./overlay.js";
 import { Parallel } from "./parallel.js";
 import { element } from "./plain.js";
 import { saveSmall } from "./svg.js";
-import { thinned } from "./valuechart.js";
+import { answers } from "./trials.js";
+import { easier, thinned } from "./valuechart.js";
 
 export class Quality {
   constructor(context) {
@@ -43,8 +44,8 @@ export class Quality {
     return {
       traces: [{
         type: "scatter", mode: "markers", x: told.map((t) => t.params[name]), y: told.map((t) => t.value), customdata: told.map((t) => t.number),
-        text: told.map((t) => `trial ${t.number}<br>${name} ${number(t.params[name])}<br>${this.value.title} ${number(t.value)}`), hoverinfo: "text",
-        marker: { size: 6, color: colour("complete"), opacity: 0.7 },
+        text: told.map((t) => `trial ${t.number}<br>${name} ${number(t.params[name])}<br>${this.value.title} ${number(t.value)}${easier(t)}`), hoverinfo: "text",
+        marker: { size: 6, color: colour("complete"), opacity: told.map((t) => (answers(t) ? 0.75 : 0.3)) },
       }],
       ...axes,
     };

@@ -14,6 +14,11 @@ export function thinned(points, keep) {
   return points.filter((point) => chosen.has(point));
 }
 
+// For a mark's hover, where its value is of an easier version of the task.
+export function easier(trial) {
+  return answers(trial) || trial.state !== "complete" ? "" : `<br>difficulty ${number(trial.z, 3)} only`;
+}
+
 export class ValueChart {
   constructor(at, { study, trials, value, by = "trial" }) {
     this.trials = trials;
@@ -64,7 +69,7 @@ export class ValueChart {
       if (!of.length) continue;
       traces.push({
         type: "scatter", mode: "markers", name: state, x: of.map((p) => p.x), y: of.map((p) => p.trial.value), customdata: of.map((p) => p.trial.number),
-        text: of.map((p) => `trial ${p.trial.number}<br>${this.value.title} ${number(p.trial.value)}${answers(p.trial) || state !== "complete" ? "" : `<br>difficulty ${number(p.trial.z, 3)} only`}<br>${amount(p.trial.samples)} samples`), hoverinfo: "text",
+        text: of.map((p) => `trial ${p.trial.number}<br>${this.value.title} ${number(p.trial.value)}${easier(p.trial)}<br>${amount(p.trial.samples)} samples`), hoverinfo: "text",
         marker: { symbol: SYMBOLS[state], size: 7, color: colour(state === "cancelled" ? "queued" : state), opacity: of.map((p) => (p.trial.z === null || p.trial.z === 1 ? 0.85 : 0.35)), line: { width: 1.4, color: colour(state) } },
       });
     }

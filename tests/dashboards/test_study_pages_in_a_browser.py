@@ -323,3 +323,16 @@ class TestDifficulty:
         expect(page.locator("#value-chart .points path")).to_have_count(3)
         line = "document.querySelector('#value-chart').data.find((trace) => trace.name === 'best so far').y"
         until(lambda: page.evaluate(line) == [0.4, 0.5, 0.5])
+
+    def test_lines_and_marks_of_easier_versions_stay_behind_the_best_of_the_task(self, browser, record):
+        record.one(value=0.9, z=0.2)
+        record.one(value=0.5)
+        record.one(value=0.4)
+        page = ready(browser, "/studies/jump/quality")
+        expect(page.locator("#lines polyline title")).to_have_text(
+            ["trial 0, value 0.9", "trial 2, value 0.4", "trial 1, value 0.5"]
+        )
+        expect(page.locator("#lines [data-axis=difficulty]")).to_have_count(1)
+        marks = "document.querySelector('#each [data-parameter=alpha] .js-plotly-plot').data[0].marker.opacity"
+        until(lambda: page.evaluate(marks) == [0.3, 0.75, 0.75])
+        browser.assert_calm()

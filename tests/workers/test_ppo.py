@@ -121,6 +121,32 @@ def test_updates_end_early_where_the_policy_has_moved_too_far():
     assert steps == [2, 5]  # the first step leaves the sampling policy, the second epoch sees it
 
 
+def test_updates_end_within_an_epoch_where_every_step_is_checked():
+    steps = {}
+    for check in ("epoch", "step"):
+        subject = learner(kl_stop=1e-9, kl_check=check, epochs=5, minibatch=4)
+        subject.update(a_batch(16, torch.linspace(-1, 1, 16)), 1, np.random.default_rng(0))
+        steps[check] = subject.actor.steps
+    assert steps == {"epoch": 4, "step": 2}
+
+
+def test_a_check_after_a_step_goes_by_the_last_samples_of_all_epochs(monkeypatch):
+    monkeypatch.setattr("workers.learning.learner.KL_SAMPLES", 8)
+    subject = learner(kl_stop=0.5, kl_check="step", epochs=9, minibatch=4)
+    # log-ratios of the sampling policy and of each minibatch; one of 1 is a divergence of e - 2 = 0.72
+    shifts = iter([0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1.0])
+    original = subject._log_probability
+
+    def shifted(*arguments):
+        result, entropy = original(*arguments)
+        return 0 * result + next(shifts), entropy
+
+    subject._log_probability = shifted
+    found = subject.update(a_batch(4, torch.linspace(-1, 1, 4)), 1, np.random.default_rng(0))
+    assert subject.actor.steps == 6  # two in a row
+    assert found["kl"] == pytest.approx(math.e - 2, abs=1e-6)
+
+
 def test_annealed_exploration_falls_on_a_straight_line_and_stays():
     subject = learner(sigma_start=0.5, sigma_end=0.1, sigma_iterations=4)
     assert [round(float(subject.sigma(k)[0]), 6) for k in (1, 2, 3, 5, 50)] == [0.5, 0.4, 0.3, 0.1, 0.1]

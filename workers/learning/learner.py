@@ -11,6 +11,8 @@ Using Generalized Advantage Estimation"):
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +26,9 @@ from workers.learning.networks import Network
 from workers.learning.policy import ActionMap, Normaliser, Policy
 from workers.learning.rollout import Episode, NotFinite, collect
 from workers.learning.settings import TrainingSettings
+
+KL_SAMPLES = 256
+"""Samples that an estimate of the divergence after a gradient step is the mean of, at least."""
 
 
 def stream(job: Job, purpose: str, iteration: int) -> np.random.Generator:
@@ -196,7 +201,8 @@ class Learner:
         """The iteration's gradient steps.
 
         Returns:
-            `kl` from the sampling policy, averaged over the last epoch; `critic_loss`; `entropy` (discrete) or `sigma`.
+            `kl` from the sampling policy, averaged over the last epoch, or over the last samples where every step is
+            checked; `critic_loss`; `entropy` (discrete) or `sigma`.
 
         Raises:
             NotFinite: where a loss or a weight is.
@@ -207,6 +213,7 @@ class Learner:
             old, _ = self._log_probability(batch.observations, batch.actions, sigma)
         n = len(old)
         kl = critic_loss = entropy = 0.0
+        recent: deque[float] = deque(maxlen=math.ceil(KL_SAMPLES / ppo.minibatch))
         for _ in range(ppo.epochs):
             kls, losses, entropies = [], [], []
             order = torch.from_numpy(rng.permutation(n))
@@ -231,7 +238,11 @@ class Learner:
                 kls.append(float((r.detach() - 1 - log_r.detach()).mean()))
                 losses.append(float(value_loss.detach()))
                 entropies.append(float(disorder.detach()))
-            kl, critic_loss, entropy = (float(np.mean(x)) for x in (kls, losses, entropies))
+                recent.append(kls[-1])
+                if ppo.kl_check == "step" and float(np.mean(recent)) > ppo.kl_stop:
+                    break
+            kl = float(np.mean(recent if ppo.kl_check == "step" else kls))
+            critic_loss, entropy = float(np.mean(losses)), float(np.mean(entropies))
             if kl > ppo.kl_stop:
                 break
         if not (self.actor.finite() and self.critic.finite()):

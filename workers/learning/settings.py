@@ -157,6 +157,8 @@ class PPOSettings:
         gae_lambda: lambda of the advantage estimate (2016, equation 16).
         grad_norm: a longer gradient is shortened to this.
         kl_stop: an iteration's updates end early beyond this KL divergence from the policy that sampled.
+        kl_check: when that is looked at: after each `epoch`, from its mean, or after each gradient `step`, from the
+            last 256 samples. With small minibatches an epoch is many steps, and ends far beyond the bound.
         entropy_bonus: weight of the entropy in the actor's objective (learnt sigma and discrete actions).
         sigma: `annealed` falls from `sigma_start` to `sigma_end` over `sigma_iterations`; `learnt` starts at
             `sigma_start`, one for each action coordinate.
@@ -180,6 +182,7 @@ class PPOSettings:
     gae_lambda: float = setting(0.95, Rule("float", 0.0, 1.0))
     grad_norm: float = setting(1.0, Rule("float", 0.0, open_low=True))
     kl_stop: float = setting(0.05, Rule("float", 0.0, open_low=True))
+    kl_check: str = setting("epoch", Rule("str", choices=("epoch", "step")))
     entropy_bonus: float = setting(0.0, Rule("float", 0.0, 1.0))
     sigma: str = setting("annealed", Rule("str", choices=("annealed", "learnt")))
     sigma_start: float = setting(0.4, Rule("float", 0.0, 10.0, open_low=True))
