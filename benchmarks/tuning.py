@@ -42,7 +42,7 @@ from search import Candidate, Observation
 from search.registry import strategy_class
 from services.spec import ResolvedSpec
 from services.spec_check import load_study
-from services.translate import make_strategy_of
+from services.translate import begin_with_points, make_strategy_of
 from workers.contracts import Job
 from workers.local_context import LocalContext
 from workers.registry import load_task
@@ -117,7 +117,8 @@ class Run:
         training["ppo"] = {
             key: value for key, value in ppo.items() if key not in idle and not (key in LATER and value == LATER[key])
         }
-        common = [PHYSICS, spec.task.name, info.settings, training, space, self.budget]
+        first = [spec.search.first] if spec.search.first else []
+        common = [PHYSICS, spec.task.name, info.settings, training, space, self.budget, *first]
         return hashlib.sha256(json.dumps(common, sort_keys=True).encode()).hexdigest()[:12]
 
     @property
@@ -142,7 +143,7 @@ def one_study(study: Run) -> list[Row]:
     out = study.trials
     rows = read(out)
     out.parent.mkdir(parents=True, exist_ok=True)
-    strategy = make_strategy_of(study.spec)
+    strategy = begin_with_points(make_strategy_of(study.spec), study.spec)
     key = zlib.crc32(study.config.encode())
     while (paid := sum(row["cost"] for row in rows)) < study.budget:
         history = [_observation(row) for row in rows]
