@@ -7,8 +7,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from search import BadSetting as BadStrategySetting
 from search import BadParams, SearchError, UnknownStrategy, strategies
+from search import BadSetting as BadStrategySetting
 from search.registry import strategy_class
 from services.located_yaml import Path as Place
 from services.problems import BadStudy, Problem
