@@ -6,19 +6,30 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from types import FrameType
 
 from services.errors import HalmaError, InterruptedByUser
 
 
 def main() -> None:
     """The command `halma`: run it and exit. SIGTERM is the same as Ctrl-C, from the first moment to the last."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    listening = True
+
+    def on_signal(signum: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the shape of a handler
+        if listening:
+            raise KeyboardInterrupt
+
     try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, on_signal)
         code = run_command(sys.argv[1:])
+        listening = False  # all is said; who asks again is about to get what they want
     except KeyboardInterrupt:  # the second one, while the first was being answered
+        listening = False
         code = InterruptedByUser.exit_code
+    # Python takes its handlers down before the process is over; the flag is for who asks before this has happened.
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # all is said; who asks again is about to get what they want
+        signal.signal(number, signal.SIG_IGN)
     sys.exit(code)
 
 

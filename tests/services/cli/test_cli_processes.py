@@ -25,6 +25,21 @@ from services.serving import serve
 from services.settings import find_settings
 serve(find_settings(), start_coordinator=contextlib.nullcontext, say=print, port=0)
 """
+LATE = """
+import os, signal
+from services import cli
+
+set_handler = signal.signal
+
+def late(number, handler):
+    if handler is signal.SIG_IGN:
+        os.kill(os.getpid(), signal.SIGTERM)
+    return set_handler(number, handler)
+
+signal.signal = late
+cli.main()
+"""
+"""A command that is asked to end when it is about to, of its own."""
 PATIENCE = 120.0
 """Seconds. A busy machine takes its time to start Python."""
 
@@ -82,6 +97,13 @@ def test_ctrl_c_exits_with_130_and_says_how_to_go_on(shell, slow_run):
     after = finished_trials(shell)
     assert after[: len(before)] == before
     assert len(after) == 12
+
+
+def test_ctrl_c_when_all_is_said_changes_nothing():
+    process = start(LATE, "--version")
+    out, err = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, err) == (0, "")
+    assert out.startswith("halma ")
 
 
 @pytest.mark.parametrize("pause", [0.02, 0.2, 0.4])
