@@ -42,7 +42,7 @@ from search import Candidate, Observation
 from search.registry import strategy_class
 from services.spec import ResolvedSpec
 from services.spec_check import load_study
-from services.translate import make_strategy_of
+from services.translate import begin_with_points, make_strategy_of
 from workers.contracts import Job
 from workers.local_context import LocalContext
 from workers.registry import load_task
@@ -75,8 +75,11 @@ CONFIGS: Mapping[str, tuple[str, bool]] = {
 PHYSICS = "the ground is a box"
 """Part of what a row was run on, decision 14: what was measured in another world is not compared."""
 
-LATER = {"kl_check": "epoch"}
+LATER = {"kl_check": "epoch", "sigma_child": "start"}
 """Settings of the learner that the first rows were made without, and the value that leaves all as it was."""
+
+OF_CHILDREN = frozenset({"sigma_child"})
+"""Settings of the learner that change nothing where no policies are handed on."""
 
 SHARES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the cost that the table has columns for."""
@@ -100,7 +103,7 @@ class Run:
 
     @property
     def digest(self) -> str:
-        """Of all that searches have in common; rows are compared where it is the same."""
+        """Of what the search was run on; rows count where it is that of the study as it is now."""
         spec = self.spec
         space = {name: each.model_dump(mode="json") for name, each in (spec.space or {}).items()}
         # with defaults written out: a study that says what went without saying is no other
@@ -110,8 +113,12 @@ class Run:
             if isinstance(part, dict):
                 training[key] = {**part, **spec.training.get(key, {})}
         ppo = training["ppo"]
-        training["ppo"] = {key: value for key, value in ppo.items() if key not in LATER or value != LATER[key]}
-        common = [PHYSICS, spec.task.name, info.settings, training, space, self.budget]
+        idle = frozenset() if CONFIGS[self.config][1] else OF_CHILDREN
+        training["ppo"] = {
+            key: value for key, value in ppo.items() if key not in idle and not (key in LATER and value == LATER[key])
+        }
+        first = [spec.search.first] if spec.search.first else []
+        common = [PHYSICS, spec.task.name, info.settings, training, space, self.budget, *first]
         return hashlib.sha256(json.dumps(common, sort_keys=True).encode()).hexdigest()[:12]
 
     @property
@@ -136,7 +143,7 @@ def one_study(study: Run) -> list[Row]:
     out = study.trials
     rows = read(out)
     out.parent.mkdir(parents=True, exist_ok=True)
-    strategy = make_strategy_of(study.spec)
+    strategy = begin_with_points(make_strategy_of(study.spec), study.spec)
     key = zlib.crc32(study.config.encode())
     while (paid := sum(row["cost"] for row in rows)) < study.budget:
         history = [_observation(row) for row in rows]
@@ -296,12 +303,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in names:
         if name not in CONFIGS:
             parser.error(f"--configs: expected some of {'; '.join(CONFIGS)}, found {name!r}")
-    digest = run_of(options.name, names[0], 0, options.set, work).digest
+    digests = {config: run_of(options.name, config, 0, options.set, work).digest for config in names}
     code = revision()  # as the code was when it was loaded
     for seed in [] if options.print else options.seeds:  # seed by seed: what is done is balanced
         for config in names:
             study = run_of(options.name, config, seed, options.set, work)
-            if any((row["search"], row["seed"], row["digest"]) == (config, seed, digest) for row in read(results)):
+            key = (config, seed, study.digest)
+            if any((row["search"], row["seed"], row["digest"]) == key for row in read(results)):
                 continue
             began = time.perf_counter()
             row = summary(study, one_study(study), code)
@@ -314,8 +322,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 flush=True,
             )
     rows = [row for row in read(results) if row["search"] in names]
-    report(options.name, [row for row in rows if row["digest"] == digest])
-    if others := sum(row["digest"] != digest for row in rows):
+    report(options.name, [row for row in rows if row["digest"] == digests[row["search"]]])
+    if others := sum(row["digest"] != digests[row["search"]] for row in rows):
         print(f"{others} rows are of another version of the study, and not in the table")
 
 

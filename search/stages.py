@@ -21,6 +21,7 @@ import numpy as np
 from search.distinct import Cluster, distinct
 from search.errors import BadHistory
 from search.features import Features
+from search.given import Given
 from search.record import SEARCH, Candidate, Observation
 from search.strategy import Strategy
 
@@ -136,7 +137,7 @@ class Staged:
         apart: behaviours further apart are different strategies, in the metric's unit.
     """
 
-    search: Strategy
+    search: Strategy | Given
     trials: int
     stages: tuple[Stage, ...]
     metric: Features

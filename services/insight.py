@@ -26,7 +26,7 @@ from services.space_text import space_yaml
 from services.spec import ResolvedSpec
 from services.states import OBSERVED_TRIAL
 from services.store.port import StudyRow, TrialRow
-from services.translate import make_strategy_of
+from services.translate import begin_with_points, make_strategy_of
 
 MOST_FOR_NEXT = 2000
 """Observations up to which the next proposal is worked out for looking: a strategy may take seconds beyond."""
@@ -110,7 +110,7 @@ def next_proposal(looked: Looked, pending: Sequence[TrialRow], next_number: int)
     places = {trial.number: place for place, trial in enumerate(looked.trials)}
     rng = np.random.default_rng(np.random.SeedSequence(proposal_key(looked.spec.seed, next_number)))
     try:
-        found = looked.known.strategy.propose(
+        found = begin_with_points(looked.known.strategy, looked.spec).propose(
             _observations(looked.trials), [_candidate(trial, places) for trial in pending], 1, rng
         )
     except SearchError:

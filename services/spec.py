@@ -40,6 +40,7 @@ Whole = Annotated[int, Field(strict=True)]
 Name = Annotated[StrictStr, Field(pattern=NAME_PATTERN, max_length=80)]
 Strings = Annotated[tuple[str, ...], Field(strict=False)]
 Numbers = Annotated[tuple[float, ...], Field(strict=False)]
+Points = Annotated[tuple[dict[str, JsonValue], ...], Field(strict=False)]
 
 
 def wrong(field: str, message: str) -> PydanticCustomError:
@@ -160,6 +161,7 @@ class SearchPlan(Section):
 
     strategy: StrictStr = Field(min_length=1, description="a strategy (`halma strategies`)")
     settings: dict[str, JsonValue] = Field(default_factory=dict, description="settings of the strategy")
+    first: Points = Field(default=(), description="parameters of the first trials, before the strategy decides")
     trials: Whole | None = Field(default=None, gt=0, description="stop after this many finished trials")
     cost: Finite | None = Field(default=None, gt=0, description="stop when this many simulation samples are spent")
 

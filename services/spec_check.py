@@ -7,14 +7,14 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from search import BadParams, SearchError, UnknownStrategy, strategies
 from search import BadSetting as BadStrategySetting
-from search import SearchError, UnknownStrategy, strategies
 from search.registry import strategy_class
 from services.located_yaml import Path as Place
 from services.problems import BadStudy, Problem
 from services.spec import FloatParameter, IntParameter, Parameter, ResolvedSpec, StudySpec, as_written
 from services.spec_file import Draft, draft, read_draft
-from services.translate import make_strategy_of, resolve, settings_in
+from services.translate import make_strategy_of, resolve, search_space, settings_in
 from workers.contracts import BadJob, BadSetting, ParameterSpec, Task, TaskInfo
 from workers.registry import load_task
 from workers.user_code import UnknownTask
@@ -56,6 +56,8 @@ def check(read: Draft) -> ResolvedSpec:
         if not problems:
             _ask_stages(read, spec, task, info, problems)
             _ask_strategy(read, spec, problems)
+        if not problems:
+            _place_points(read, spec, problems)
     if problems or spec is None:
         raise BadStudy(sorted(problems, key=read.source.order))
     return spec
@@ -204,6 +206,16 @@ def _ask_strategy(read: Draft, spec: ResolvedSpec, problems: Problems) -> None:
         problems.append(read.source.problem(("search", "strategy"), str(error)))
     except SearchError as error:
         problems.append(read.source.problem(("space",), str(error)))
+
+
+def _place_points(read: Draft, spec: ResolvedSpec, problems: Problems) -> None:
+    """Whether the points to begin with are of the space."""
+    space = search_space(spec)
+    for i, point in enumerate(spec.search.first):
+        try:
+            space.to_unit(point)
+        except BadParams as error:
+            problems.append(read.source.problem(("search", "first", i), str(error)))
 
 
 def _place(error: BadSetting) -> Place:

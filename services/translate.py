@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from search import Features, Space, Strategy, make_strategy
+from search.given import Given
 from search.stages import NoveltyStage, PolishStage, Staged, in_order
 from services.spec import (
     AngleParameter,
@@ -145,7 +146,7 @@ def _plans_cost(strategy: str) -> bool:
 
 
 def make_strategy_of(spec: ResolvedSpec) -> Strategy:
-    """The study's strategy. Raises `search.SearchError`."""
+    """The study's strategy, without the points that it is to begin with. Raises `search.SearchError`."""
     return make_strategy(
         spec.search.strategy,
         search_space(spec),
@@ -154,14 +155,20 @@ def make_strategy_of(spec: ResolvedSpec) -> Strategy:
     )
 
 
-def build_strategy(fields: Mapping[str, Any]) -> Strategy | Staged:
+def begin_with_points(strategy: Strategy, spec: StudySpec) -> Strategy | Given:
+    """The study's strategy, beginning with the points that the study gives. Raises `search.BadParams`."""
+    points: tuple[Mapping[str, Any], ...] = spec.search.first
+    return Given(strategy, points) if points else strategy
+
+
+def build_strategy(fields: Mapping[str, Any]) -> Strategy | Given | Staged:
     """The strategy of a study as its row keeps it, with its stages. Raises `search.SearchError`."""
     spec = StudySpec.from_json(fields)
     if not isinstance(spec, ResolvedSpec):
         from workers.registry import load_task  # noqa: PLC0415 - a resolved study, the usual case, needs no task
 
         spec = resolve(spec, load_task(spec.task.name).info(spec.task.settings))
-    search = make_strategy_of(spec)
+    search = begin_with_points(make_strategy_of(spec), spec)
     metric = search_features(spec.behaviour)
     if not spec.stages or spec.search.trials is None or metric is None or spec.behaviour is None:
         return search

@@ -10,7 +10,7 @@ const NEWEST = 60;
 const WORDS = {
   start: "a first look: no model yet", explore: "explore: the model knows least there", diversify: "diversify: furthest from every known behaviour",
   "diversify inside": "diversify, away from the edges of the space", improve: "improve: likely better than the best", "learn easy": "learn at a lower difficulty, where it is cheap",
-  ucb: "highest upper confidence bound",
+  given: "given by the study: tried before the search decides", ucb: "highest upper confidence bound",
 };
 
 export class Why {

@@ -5,6 +5,7 @@ import pytest
 from search_cases import facing, jump_space
 
 from search import BadHistory, Candidate, Features, Observation, make_strategy
+from search.given import Given
 from search.stages import NoveltyStage, PolishStage, Staged, in_order
 
 PARAMS = {"alpha": 0.0, "omega_x": 0.0, "rate": 1e-3}
@@ -144,3 +145,11 @@ def test_a_trial_of_an_unknown_stage_is_refused():
 def test_stages_are_ordered_by_what_they_come_after():
     assert in_order({"polish": ["novelty", "search"], "novelty": ["search"]}) == ["novelty", "polish"]
     assert in_order({"b": ["a"], "a": ["b"], "c": ["search"], "d": ["a"]}) == ["c"]
+
+
+def test_a_search_that_begins_with_points_has_its_later_stages_after_them():
+    points = ({**PARAMS, "alpha": 1.0}, {**PARAMS, "alpha": 2.0})
+    search = Given(make_strategy("random", jump_space(), features=Features.circle()), points)
+    study = Staged(search, 3, (NOVELTY,), Features.circle(), apart=0.5)
+    assert [dict(each.params) for each in ask(study, [])[:2]] == [dict(point) for point in points]
+    assert summary(ask(study, SEARCHED)) == summary(ask(staged(NOVELTY), SEARCHED))

@@ -64,7 +64,7 @@ def test_a_spec_survives_the_database():
         (
             "trials: 6",
             "zzz: 6",
-            ("a.yaml:10: search.zzz: expected a known key, found zzz; known: cost, settings, strategy, trials"),
+            ("a.yaml:10: search.zzz: expected a known key, found zzz; known: cost, first, settings, strategy, trials"),
         ),
         ("trials: 6", "trials: 0", "a.yaml:10: search.trials: expected a number above 0, found 0"),
         ("trials: 6", "cost: -1.5", "a.yaml:10: search.cost: expected a number above 0, found -1.5"),

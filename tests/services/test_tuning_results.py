@@ -77,6 +77,16 @@ def test_rows_of_another_version_of_the_study_are_neither_taken_for_done_nor_pri
     assert len({row["digest"] for row in compare.rows()}) == 2
 
 
+def test_how_children_begin_is_another_study_only_to_searches_that_have_some(compare):
+    names = ["--seeds", "1", "--configs", "random;cmfbo"]
+    default = compare(*names).splitlines()
+    other = compare(*names, overrides=[*TINY, "training.ppo.sigma_child=parent"])
+    assert "random, seed 0:" not in other
+    assert "cmfbo, seed 0:" in other
+    assert next(line for line in default if line.startswith("random  ")) in other
+    assert "1 rows are of another version of the study" in other
+
+
 def row(search, seed, curve):
     return {
         "problem": "gymnasium", "search": search, "seed": seed, "digest": "d", "revision": "r" * 12, "budget": 100,

@@ -11,6 +11,7 @@ from services.translate import make_strategy_of
 from workers.contracts import Job
 from workers.local_context import LocalContext
 from workers.run import run
+from workers.tasks.imitation.settings import TRAINING
 
 STUDIES = Path(__file__).parents[2] / "studies"
 TUNING = ("tune_gymnasium", "tune_walk", "tune_backflip", "walker_morphology")
@@ -47,3 +48,9 @@ def test_every_baseline_runs_on_the_same_study(strategy, tmp_path):
     assert set(candidate.params) == set(spec.space)
     for other in ("walker_morphology", "tune_walk"):
         assert make_strategy_of(load_study(STUDIES / f"{other}.yaml", [f"search.strategy={strategy}"]))
+
+
+def test_the_walks_study_begins_with_what_halma_trains_with_by_default():
+    spec = load_study(STUDIES / "tune_walk.yaml")
+    default = TRAINING.to_json()["ppo"]
+    assert spec.search.first == ({name: default[name.removeprefix("ppo.")] for name in spec.space},)

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -145,6 +146,59 @@ def test_a_check_after_a_step_goes_by_the_last_samples_of_all_epochs(monkeypatch
 def test_annealed_exploration_falls_on_a_straight_line_and_stays():
     subject = learner(sigma_start=0.5, sigma_end=0.1, sigma_iterations=4)
     assert [round(float(subject.sigma(k)[0]), 6) for k in (1, 2, 3, 5, 50)] == [0.5, 0.4, 0.3, 0.1, 0.1]
+
+
+def after_updates(count, **ppo):
+    subject = learner(**ppo)
+    for iteration in range(1, count + 1):
+        subject.update(a_batch(16, torch.linspace(-1, 1, 16)), iteration, np.random.default_rng(0))
+    return subject
+
+
+annealing = {"sigma_start": 0.5, "sigma_end": 0.1, "sigma_iterations": 4}
+
+
+def test_a_childs_exploration_begins_anew_or_falls_on_from_its_parents():
+    parent = after_updates(3, **annealing).policy()
+    assert parent.sigma == pytest.approx([0.3])
+    falls = {}
+    for begins in ("start", "parent"):
+        child = learner(sigma_child=begins, **annealing)
+        child.warm_start(parent)
+        falls[begins] = [round(float(child.sigma(k)[0]), 6) for k in (1, 2, 3, 9)]
+    assert falls == {"start": [0.5, 0.4, 0.3, 0.1], "parent": [0.3, 0.2, 0.1, 0.1]}
+
+
+@pytest.mark.parametrize(("found", "begins"), [(0.9, 0.5), (0.02, 0.1)], ids=["more than any", "less than any"])
+def test_a_childs_exploration_stays_within_its_own_annealing(found, begins):
+    child = learner(sigma_child="parent", **annealing)
+    child.warm_start(replace(learner().policy(), sigma=np.array([found], np.float32)))
+    assert child.sigma(1) == pytest.approx([begins])
+
+
+def test_a_childs_learnt_exploration_goes_on_from_its_parents():
+    parent = after_updates(3, sigma="learnt", sigma_start=0.4)
+    assert parent.sigma(9) != pytest.approx([0.4], abs=1e-6)
+    child = learner(sigma="learnt", sigma_start=0.2, sigma_child="parent")
+    child.warm_start(parent.policy())
+    assert child.sigma(1) == pytest.approx(parent.sigma(9))
+
+
+def test_a_parent_that_does_not_tell_its_exploration_changes_nothing():
+    child = learner(sigma_child="parent", **annealing)
+    child.warm_start(learner().policy())
+    assert child.sigma(1) == pytest.approx([0.5])
+
+
+def test_a_checkpoint_keeps_where_exploration_has_got():
+    parent = after_updates(3, **annealing).policy()
+    child = learner(sigma_child="parent", **annealing)
+    child.warm_start(parent)
+    child.update(a_batch(16, torch.linspace(-1, 1, 16)), 1, np.random.default_rng(0))
+    resumed = learner(sigma_child="parent", **annealing)
+    resumed.load(child.tensors())
+    assert resumed.sigma(2) == pytest.approx([0.2])
+    assert resumed.policy().to_bytes() == child.policy().to_bytes()
 
 
 def test_learnt_exploration_is_the_derivative_of_a_normal_density():

@@ -1,4 +1,5 @@
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -73,6 +74,13 @@ def test_the_hash_sees_a_change_of_one_weight_and_of_the_statistics():
     assert Policy("relu", changed.actions, changed.normaliser, changed.actor, critic).sha256() != original.sha256()
     statistics = original.normaliser.updated(np.ones((1, 3)))
     assert Policy("relu", original.actions, statistics, original.actor, original.critic).sha256() != original.sha256()
+
+
+def test_the_exploration_is_kept_where_it_is_known():
+    known = replace(policy(), sigma=np.array([0.3, 0.2], np.float32))
+    assert Policy.from_bytes(known.to_bytes()).sigma.tolist() == known.sigma.tolist()
+    assert Policy.from_bytes(policy().to_bytes()).sigma is None
+    assert known.sha256() != policy().sha256()
 
 
 def test_the_likeliest_choice_is_taken_counted_from_the_first_action():

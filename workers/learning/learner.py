@@ -130,20 +130,25 @@ class Learner:
         )
         self.normaliser = Normaliser.identity(size, ppo.observation_clip)
         self.reward_statistics = Normaliser.identity(1)
+        self.annealed = 0.0
+        """Share of the annealing that was over before this training began."""
+        self.explored = np.zeros(0, np.float32)
+        """Noise of the newest update ``[size]``, empty before any."""
 
     def sigma(self, iteration: int) -> NDArray[np.float32]:
         """Standard deviation of the action noise ``[size]`` in this iteration (from 1), in network units."""
         if self.actor.log_sigma is not None:
             learnt: NDArray[np.float32] = np.exp(self.actor.log_sigma.detach().numpy())
             return learnt
-        done = min(1.0, (iteration - 1) / self.ppo.sigma_iterations)
+        done = min(1.0, self.annealed + (iteration - 1) / self.ppo.sigma_iterations)
         sigma = self.ppo.sigma_start + (self.ppo.sigma_end - self.ppo.sigma_start) * done
         return np.full(self.actions.size, sigma, np.float32)
 
     def policy(self, *, shared: bool = False) -> Policy:
         """The policy as it is now; `shared` changes with the learner, for rollouts."""
         actor, critic = (n.view() if shared else n.snapshot() for n in (self.actor, self.critic))
-        return Policy(self.activation, self.actions, self.normaliser, actor, critic)
+        sigma = self.explored if len(self.explored) else None
+        return Policy(self.activation, self.actions, self.normaliser, actor, critic, sigma)
 
     def rollout(
         self, envs: Sequence[Any], job: Job, iteration: int, *, sampling: int, level: float | None
@@ -247,6 +252,8 @@ class Learner:
                 break
         if not (self.actor.finite() and self.critic.finite()):
             raise NotFinite("weights", np.nan)
+        if self.actions.kind == "continuous":
+            self.explored = self.sigma(iteration)
         spread = {"entropy": entropy} if self.actions.kind == "discrete" else {"sigma": float(sigma.mean())}
         return {"kl": kl, "critic_loss": critic_loss, **spread}
 
@@ -289,7 +296,19 @@ class Learner:
             )
         self.actor.put(parent.actor)
         self.critic.put(parent.critic)
+        if self.ppo.sigma_child == "parent" and parent.sigma is not None:
+            self._go_on_exploring(parent.sigma)
         return WarmStart(networks=True, message="started from the parent's policy")
+
+    def _go_on_exploring(self, sigma: NDArray[np.float32]) -> None:
+        """Take the noise of a parent over: as it was learnt, or as far as its annealing had got."""
+        if self.actor.log_sigma is not None:
+            with torch.no_grad():
+                self.actor.log_sigma.copy_(torch.log(_tensor(sigma)))
+            return
+        whole = self.ppo.sigma_end - self.ppo.sigma_start
+        done = (float(sigma.mean()) - self.ppo.sigma_start) / whole if whole else 1.0
+        self.annealed = min(1.0, max(0.0, done))
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """All that learns, for the checkpoint."""
@@ -300,7 +319,7 @@ class Learner:
                 f"{name}.var": statistics.var,
                 f"{name}.count": np.array(statistics.count),
             }
-        return found
+        return found | {"sigma.annealed": np.array(self.annealed), "sigma.explored": self.explored}
 
     def load(self, tensors: Mapping[str, NDArray[Any]]) -> None:
         """Continue from what `tensors` gave. Raises `BadJob` where it is of other sizes."""
@@ -310,6 +329,8 @@ class Learner:
             Normaliser(tensors[f"{n}.mean"], tensors[f"{n}.var"], float(tensors[f"{n}.count"]), old.clip)
             for n, old in (("normaliser", self.normaliser), ("rewards", self.reward_statistics))
         )
+        if "sigma.annealed" in tensors:  # checkpoints of halma 0.1.0 don't tell
+            self.annealed, self.explored = float(tensors["sigma.annealed"]), tensors["sigma.explored"]
 
 
 def _tensor(array: NDArray[Any]) -> torch.Tensor:

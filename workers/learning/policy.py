@@ -152,7 +152,9 @@ class Policy:
         actions: from the network's output to the environment.
         normaliser: of the observations.
         actor: output ``[actions.size]``.
-        critic: output ``[1]``; it is kept for trainings that start from this policy.
+        critic: output ``[1]``; like `sigma` it is kept for trainings that start from this policy.
+        sigma: standard deviation of the action noise that it was last explored with ``[actions.size]``, in network
+            units; None where nothing tells.
     """
 
     activation: Activation
@@ -160,6 +162,7 @@ class Policy:
     normaliser: Normaliser
     actor: Layers
     critic: Layers
+    sigma: NDArray[np.float32] | None = None
 
     @property
     def observation_size(self) -> int:
@@ -195,6 +198,8 @@ class Policy:
             for i, (weight, bias) in enumerate(layers):
                 tensors[f"{name}.{i}.weight"] = np.ascontiguousarray(weight)
                 tensors[f"{name}.{i}.bias"] = np.ascontiguousarray(bias)
+        if self.sigma is not None:
+            tensors["sigma"] = self.sigma
         about = {
             "format": _FORMAT,
             "observation_size": self.observation_size,
@@ -223,7 +228,8 @@ class Policy:
                 [(tensors[f"{name}.{i}.weight"], tensors[f"{name}.{i}.bias"]) for i in depth]
                 for name in ("actor", "critic")
             )
-            return cls(about["activation"], ActionMap.from_json(about["actions"]), normaliser, actor, critic)
+            actions, sigma = ActionMap.from_json(about["actions"]), tensors.get("sigma")
+            return cls(about["activation"], actions, normaliser, actor, critic, sigma)
         except (SafetensorError, KeyError, TypeError, ValueError) as error:
             raise BadJob(
                 f"policy: expected a policy.safetensors written by halma, found something else ({error})"

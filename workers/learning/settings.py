@@ -164,6 +164,8 @@ class PPOSettings:
             `sigma_start`, one for each action coordinate.
         sigma_start, sigma_end: standard deviation of the action noise, in the policy's own unit.
         sigma_iterations: length of the annealing.
+        sigma_child: where the noise of a training that goes on from a parent's policy begins: at the `start`, or where
+            the `parent`'s ended.
         normaliser_iterations: the observation statistics settle after so many iterations.
         observation_clip: bound of a normalised observation.
         normalise_rewards: divide rewards by the running standard deviation of the discounted return.
@@ -188,6 +190,7 @@ class PPOSettings:
     sigma_start: float = setting(0.4, Rule("float", 0.0, 10.0, open_low=True))
     sigma_end: float = setting(0.12, Rule("float", 0.0, 10.0, open_low=True))
     sigma_iterations: int = setting(80, Rule("int", 1))
+    sigma_child: str = setting("start", Rule("str", choices=("start", "parent")))
     normaliser_iterations: int = setting(30, Rule("int", 0))
     observation_clip: float = setting(8.0, Rule("float", 0.0, open_low=True))
     normalise_rewards: bool = setting(False, Rule("bool"))

@@ -32,6 +32,29 @@ def test_run_ends_with_the_distinct_strategies_the_cost_and_what_to_type_next(sh
     assert "  halma extend hill --trials 10  # search on" in lines
 
 
+def test_a_study_begins_with_the_points_that_it_gives(shell, hill):
+    shell.write("given.yaml", hill.replace("trials: 4", "trials: 4\n  first: [{x: 0.75}, {x: 0.25}]"))
+    assert shell("run", "given.yaml", "--inline").code == 0
+    trials = shell("trials", "hill", "--json").json
+    assert [trial["params"]["x"] for trial in trials[:2]] == [0.75, 0.25]
+    assert [trial["info"].get("mode") for trial in trials] == ["given", "given", "random", "random"]
+
+
+def test_points_that_are_none_of_the_space_are_refused_all_at_once_by_line(shell, hill):
+    shell.write("given.yaml", hill.replace("trials: 4", "trials: 4\n  first:\n    - {x: 2}\n    - {y: 0.1}\n    - 7"))
+    refused = shell("run", "given.yaml", "--inline")
+    assert refused.code == 2
+    assert refused.err.splitlines()[0].startswith("given.yaml:13: search.first[2]: expected a mapping")
+    shell.write("given.yaml", hill.replace("trials: 4", "trials: 4\n  first:\n    - {x: 2}\n    - {y: 0.1}"))
+    refused = shell("run", "given.yaml", "--inline")
+    assert refused.code == 2
+    assert refused.err.splitlines() == [
+        "given.yaml:11: search.first[0]: parameter 'x': expected a value in [0.0, 1.0], found 2.0",
+        "given.yaml:12: search.first[1]: expected parameters ['x'], found unknown 'y'",
+    ]
+    assert shell.study_names() == []
+
+
 def test_run_again_shows_the_finished_study_and_runs_nothing(shell, finished):
     before = shell("trials", "hill", "--json").out
     again = shell("run", "hill.yaml", "--inline")
