@@ -165,8 +165,8 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=FIGURES / "tuned.jsonl")
     parser.add_argument("--print", action="store_true", help="only what is on file")
     options = parser.parse_args()
-    every = read(options.results)
     if options.print:
+        every = read(options.results)
         for words in dict.fromkeys(map(conditions, every)):
             print(f"\n{words}", end="")
             report([row for row in every if conditions(row) == words])
@@ -186,15 +186,14 @@ def main() -> None:
                     "clip": clip, "setting": setting, "params": params, "seed": seed,
                     "samples_allowed": options.samples, "set": options.set, "physics": PHYSICS,
                 }  # fmt: skip
-                if any(asked.items() <= row.items() for row in every):
-                    continue
+                if any(asked.items() <= row.items() for row in read(options.results)):
+                    continue  # or somebody else did it meanwhile, on another core
                 row = {**asked, "revision": code, **train(clip, params, seed, options.samples, options.set)}
-                every.append(row)
                 with options.results.open("a") as file:
                     file.write(json.dumps(row) + "\n")
                 print(f"{clip}, {setting}, seed {seed}: {shown(row)}, {row['minutes']:.1f} min", flush=True)
     here = {"samples_allowed": options.samples, "set": options.set}
-    report([row for row in every if here.items() <= row.items()])
+    report([row for row in read(options.results) if here.items() <= row.items()])
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@
     python -m benchmarks.tuning walk --print
 
 The study is the one that `halma run` takes (`studies/`), in its quick profile, one trial at a time; `long-walk` is that
-of the walk without profile: 20 s, three quarters of an hour of a core for a search. The figure is the
+of the walk without profile: 20 s, more than an hour of a core for a search. The figure is the
 best value at z = 1 that a search has seen by the time it has spent so many samples; values of easier tasks are no
 answers. A search whose answer is an easier evaluation (boca) has its parameters trained at z = 1 in the end, at no
 further cost. Only `cmfbo` proposes parents, so that `cmfbo, no transfer` is what the search alone is worth, and the

@@ -1,7 +1,8 @@
-// What the search believes: a slice through its surrogate over two parameters, and what was tried there.
+// What the search believes: a slice through its surrogate over two parameters, and what was tried there. Where there is
+// one parameter only, the slice is a line and its deviation a band around it.
 //
 // The samples come from the record on the page, so they are live; the surrogate is asked for again when it has learnt.
-import { Chart, SYMBOLS, colour } from "./chart.js";
+import { Chart, SYMBOLS, colour, series } from "./chart.js";
 import { STATES, number } from "./format.js";
 import { api } from "./live.js";
 import { element, setText } from "./plain.js";
@@ -39,6 +40,7 @@ export class SliceView {
     fill(x, named, address.get("x") ?? this.names[0]);
     fill(y, named, address.get("y") ?? this.names.find((name) => name !== x.value) ?? this.names[0]);
     fill(shows, outputs, address.get("output") ?? outputs[0][0]);
+    y.parentElement.hidden = this.names.length === 1;
     this.outputs = new Map(outputs);
     const open = (point) => { if (point.customdata !== undefined) location.assign(`${base}/trials/${point.customdata}`); };
     this.mean = new Chart(document.getElementById("map"), () => this.#mean(), { name: `${study}-surrogate-mean`, onClick: open });
@@ -150,7 +152,7 @@ export class SliceView {
   }
 
   #words(trial) {
-    const why = trial.mode ? `<br>proposed to ${trial.mode}` : "";
+    const why = !trial.mode ? "" : trial.mode === "given" ? "<br>given by the study" : `<br>proposed to ${trial.mode}`;
     return `trial ${trial.number} · ${trial.state}<br>${this.value.title} ${number(trial.value)}${why}`;
   }
 
@@ -188,7 +190,34 @@ export class SliceView {
     return traces;
   }
 
+  // One parameter: what is expected along it, how far that may be off, and what came.
+  #line() {
+    const { x, mean, deviation, y } = this.slice ?? {};
+    const traces = [];
+    if (mean?.length && y === null) {
+      const band = (factor) => mean[0].map((value, i) => value + factor * deviation[0][i]);
+      if (deviation?.length) {
+        traces.push({
+          type: "scatter", mode: "lines", name: "one deviation", x: [...x.values, ...x.values.toReversed()], y: [...band(1), ...band(-1).toReversed()],
+          fill: "toself", fillcolor: colour("line"), line: { width: 0 }, hoverinfo: "skip",
+        });
+      }
+      traces.push({ type: "scatter", mode: "lines", name: "expected", x: x.values, y: mean[0], line: { width: 2, color: series(0) }, hoverinfo: "x+y" });
+    }
+    const came = thinned(this.trials.all().filter((trial) => this.outcome(trial) !== null), []);
+    if (came.length) {
+      traces.push({
+        type: "scatter", mode: "markers", name: "finished", x: came.map((t) => t.params[this.x.value]), y: came.map((t) => this.outcome(t)),
+        customdata: came.map((t) => t.number), text: came.map((t) => this.#words(t)), hoverinfo: "text", marker: { size: 8, color: colour("ink") },
+      });
+    }
+    this.#ends("scale", null);
+    const axes = this.#axes();
+    return { traces, empty: "The first proposals appear here.", ...axes, y: { title: this.slice?.output?.label ?? this.outputs.get(this.shows.value) } };
+  }
+
   #mean() {
+    if (this.names.length === 1) return this.#line();
     if (this.#has("mean")) {
       this.#legend("scale", this.slice.mean, this.slice.output?.label ?? this.outputs.get(this.shows.value), "mean");
       return { traces: [this.#heat(this.slice.mean, SCALE), ...this.#samples(false)], ...this.#axes(), always: true };

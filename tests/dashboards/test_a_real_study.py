@@ -38,6 +38,18 @@ search: {strategy: cmfbo, trials: 10}
 training: {budget: {samples: 600}}
 seed: 3
 """
+VALLEY = """
+name: valley
+task: "valley:depth"
+space: {rate: {type: float, low: 1.0e-5, high: 1.0e-1, log: true}}
+search: {strategy: cmfbo, cost: 8000, first: [{rate: 1.0e-2}, {rate: 3.0e-4}]}
+"""
+VALLEY_TASK = """
+import math
+
+def depth(params, z):
+    return z * (9 - (math.log10(params["rate"]) + 3) ** 2), None, int(1000 * z)
+"""
 HALMA = str(Path(sys.executable).parent / "halma")
 SOFTWARE_GL = ["GPU stall due to ReadPixels", "GL_CLOSE_PATH_NV"]
 
@@ -47,10 +59,13 @@ def product(tmp_path_factory):
     """A server over what `halma run` made."""
     folder = tmp_path_factory.mktemp("product")
     environment = {**os.environ, "HALMA_HOME": str(folder), "OMP_NUM_THREADS": "1"}
-    for name, text in (("jumps", JUMPS), ("hops", HOPS)):
+    (folder / "valley.py").write_text(VALLEY_TASK)
+    for name, text in (("jumps", JUMPS), ("hops", HOPS), ("valley", VALLEY)):
         (folder / f"{name}.yaml").write_text(text)
-        command = [HALMA, "run", str(folder / f"{name}.yaml"), "--inline"]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+        command = [HALMA, "run", f"{name}.yaml", "--inline"]
+        done = subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300, check=False
+        )
         assert done.returncode == 0, done.stderr + done.stdout
     running = Service(folder, artifacts="halma.artifacts").start()
     yield running
@@ -129,6 +144,19 @@ def test_a_slice_shows_what_the_search_expects_and_follows_sliders_and_axes(view
     expect(page.locator("#reasons tbody tr")).to_have_count(5)
     expect(page.locator("#reasons")).to_contain_text("furthest from every known behaviour")
     expect(page.locator("#reasons")).to_contain_text("acquisition")
+    viewer.assert_calm()
+
+
+def test_a_slice_of_one_parameter_is_a_line_with_its_band(viewer):
+    page = ready(viewer, "/studies/valley/search")
+    expect(page.locator("#map .legendtext")).to_have_text(["one deviation", "expected", "finished"])
+    expect(page.locator("#map .xtitle")).to_have_text("rate")
+    expect(page.locator("#map .ytitle")).to_have_text("value")
+    expect(page.locator("#map .points path")).to_have_count(page.locator("#reasons tbody tr").count())
+    expect(page.locator("#map-y")).to_be_hidden()
+    expect(page.locator("#scale")).to_be_hidden()
+    expect(page.locator("#unsure-panel")).to_be_hidden()
+    expect(page.locator("#reasons")).to_contain_text("given by the study: tried before the search decides")
     viewer.assert_calm()
 
 

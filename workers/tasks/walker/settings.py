@@ -50,7 +50,7 @@ class WalkerSettings:
         training_steps: control steps of a training's episodes at the most.
         episodes: how many evaluations the value is the mean of.
         hand: gain of the whole helping hand, kp in 1/s^2 (and kd in 1/s): 200 as published. Most bodies are carried
-            above 40 or so, whatever they do; with 4 those stay up longer that do so without.
+            above 40 or so, whatever they do, so that easy levels mislead about bodies; with 4 they don't.
         withdrawal: how much of the help is withdrawn after an iteration in which half the episodes did not fall; twice
             that above 0.8, five times above 0.9.
         deadline: share of the budget after which all is withdrawn that the difficulty withdraws, step by step, whether
