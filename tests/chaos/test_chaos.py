@@ -74,7 +74,7 @@ def test_a_study_whose_clock_jumps_equals_an_undisturbed_one(undisturbed, tmp_pa
     jumping = Forks(tmp_path, **clock.environment)
     try:
         game = Game(jumping, Arena(tmp_path / "arena", SHAPE), undisturbed.of(SHAPE)[0], np.random.default_rng(4))
-        kept(game, game.at_any_time(jump, longest=0.3), at_least=2)
+        kept(game, game.at_any_time(jump, longest=0.1), at_least=2)
     finally:
         jumping.close()
     days_seen = {row["started_at"][:10] for row in game.arena.record().attempts}
