@@ -1,6 +1,6 @@
 """Whether easy versions of the walker tell which bodies are good, by how strong the helping hand is.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.walker_hand --bodies 20
+    OMP_NUM_THREADS=1 python -m benchmarks.walker_hand --bodies 16
 
 Sobol bodies, trained under the quick profile of `studies/walker_morphology.yaml`, with each hand: once at z = 0.1,
 twice at z = 1 with other seeds. Printed are mean values, and Spearman's rank correlation of what a body comes to at
@@ -48,7 +48,7 @@ def value(spec: ResolvedSpec, body: dict[str, Scalar], z: float, seed: int) -> f
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--bodies", type=int, default=20)
+    parser.add_argument("--bodies", type=int, default=16)
     parser.add_argument("--seed", type=int, default=0, help="of the bodies, and the first of their trainings")
     options = parser.parse_args(arguments)
     space = search_space(study(HANDS[0]))
